@@ -1,6 +1,7 @@
 //! Adaptive models: of a single bit, and of integers of any size. FORMAT.md 5.2 to 5.4.
 
 use super::BitCoder;
+use crate::ground::varint::{unzigzag, zigzag};
 
 /// The probability of a bit in one context: a running mean that adapts fast at first.
 #[derive(Clone, Copy, Debug)]
@@ -89,6 +90,12 @@ impl IntegerModel {
         let rest = below - modelled;
         let low = coder.code_plain(value & ((1 << rest) - 1), rest);
         ((1 << modelled) | top) << rest | low
+    }
+
+    /// Codes an integer from -2^62 to 2^62 - 1, those near 0 as the shortest.
+    pub fn code_signed<C: BitCoder>(&mut self, coder: &mut C, value: i64) -> i64 {
+        // While decoding, `value` may be any number.
+        unzigzag(self.code(coder, zigzag(value) & (u64::MAX >> 1)))
     }
 }
 

@@ -3,7 +3,6 @@
 //! of the scanner), or anything else. FORMAT.md 8.19.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::Coordinates;
 
 /// The kinds of positions of blanks.
@@ -65,8 +64,8 @@ impl BlankModel {
                     for axis in 0..3 {
                         let last = Coordinates::unit_of_float(before[axis]);
                         let difference = Coordinates::unit_of_float(position[axis]) - last;
-                        let coded = self.differences[axis].code(coder, zigzag(difference) & (u64::MAX >> 1));
-                        position[axis] = Coordinates::Float32.value(last.wrapping_add(unzigzag(coded)), 0.0);
+                        let difference = self.differences[axis].code_signed(coder, difference);
+                        position[axis] = Coordinates::Float32.value(last.wrapping_add(difference), 0.0);
                     }
                 }
             }

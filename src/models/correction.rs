@@ -6,7 +6,6 @@ pub use tokens::{CORRECTION_CONTEXTS, correct_positions};
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::rounding::round_ties_even;
-use crate::ground::varint::{unzigzag, zigzag};
 use crate::scan::squared_distance;
 use crate::scanner::Coordinates;
 
@@ -127,7 +126,7 @@ impl CorrectionModel {
             } else if self.expected[level].code(coder, *correction == over_border) {
                 *correction = over_border;
             } else {
-                *correction = self.code_rest(coder, 2 * axis * FINENESS, *correction);
+                *correction = self.rest[2 * axis * FINENESS].code_signed(coder, *correction);
             }
         }
     }
@@ -141,12 +140,8 @@ impl CorrectionModel {
         for axis in 0..3 {
             let fineness = (largest - exponents[axis]).min(FINENESS - 1);
             let context = 2 * (axis * FINENESS + fineness) + usize::from(is_any);
-            corrections[axis] = self.code_rest(coder, context, corrections[axis]);
+            corrections[axis] = self.rest[context].code_signed(coder, corrections[axis]);
             is_any |= corrections[axis] != 0;
         }
-    }
-
-    fn code_rest<C: BitCoder>(&mut self, coder: &mut C, context: usize, correction: i64) -> i64 {
-        unzigzag(self.rest[context].code(coder, zigzag(correction) & (u64::MAX >> 1)))
     }
 }

@@ -15,7 +15,6 @@ pub use scale::IntensityScale;
 pub use tokens::{INTENSITY_CONTEXTS, IntensityTokens};
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::ground::varint::{unzigzag, zigzag};
 use deep::DeepLevels;
 use light::LightLevels;
 
@@ -81,7 +80,7 @@ impl IntensityModel {
     /// value.
     fn code_off_grid<C: BitCoder>(&mut self, coder: &mut C, value: f32) -> f32 {
         let difference = i64::from(value.to_bits()) - i64::from(self.last_off_grid);
-        let difference = unzigzag(self.off_grid.code(coder, zigzag(difference)));
+        let difference = self.off_grid.code_signed(coder, difference);
         self.last_off_grid = i64::from(self.last_off_grid).wrapping_add(difference) as u32;
         f32::from_bits(self.last_off_grid)
     }

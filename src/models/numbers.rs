@@ -105,15 +105,15 @@ impl Scale {
     }
 
     /// The values of a type on this scale.
-    pub fn grid(self, scalar: Scalar) -> Grid {
+    pub fn grid(self, scalar: Scalar) -> NumberGrid {
         let (form, exponent) = self.form().map_or((None, 0), |(form, exponent)| (Some(form), exponent));
-        Grid { scalar, form, power: power(exponent), step: self.step() }
+        NumberGrid { scalar, form, power: power(exponent), step: self.step() }
     }
 }
 
 /// The values of a type on a [`Scale`].
 #[derive(Clone, Copy, Debug)]
-pub struct Grid {
+pub struct NumberGrid {
     scalar: Scalar,
     form: Option<Form>,
     /// 10^k.
@@ -121,7 +121,7 @@ pub struct Grid {
     step: f64,
 }
 
-impl Grid {
+impl NumberGrid {
     /// The integer of a value; `None` if the value is off the grid.
     #[inline]
     pub fn integer(&self, value: &[u8]) -> Option<i64> {

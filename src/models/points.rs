@@ -6,7 +6,6 @@
 
 use super::least_squares::LeastSquares;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::Coordinates;
 
 /// Number of candidate predictions for each coordinate; the one with the smallest recent errors is used.
@@ -137,8 +136,7 @@ impl CoordinateModel {
         }
         let level = (self.errors[best] as usize).min(ERROR_BITS - 1);
         let residual = unit.unwrap_or(0).wrapping_sub(units[best]);
-        let code = self.residual[level].code(coder, zigzag(residual) & (u64::MAX >> 1));
-        let unit = units[best].wrapping_add(unzigzag(code));
+        let unit = units[best].wrapping_add(self.residual[level].code_signed(coder, residual));
         for (error, predicted) in self.errors.iter_mut().zip(units) {
             let bits = u64::BITS - unit.wrapping_sub(predicted).unsigned_abs().leading_zeros();
             *error = 0.8 * *error + 0.2 * bits as f32;

@@ -2,7 +2,6 @@
 //! predict. FORMAT.md 8.12.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::Hdl64;
 
 /// Plane parameters are in units of 2^-22 per metre: 3 mm of range at 100 m.
@@ -81,8 +80,7 @@ impl SurfaceCoder {
 
 /// Codes a value by its difference from another.
 fn code_near<C: BitCoder>(coder: &mut C, model: &mut IntegerModel, value: i32, other: i32) -> i32 {
-    let difference = i64::from(value) - i64::from(other);
-    let difference = unzigzag(model.code(coder, zigzag(difference)));
+    let difference = model.code_signed(coder, i64::from(value) - i64::from(other));
     i64::from(other).wrapping_add(difference) as i32
 }
 

@@ -6,7 +6,6 @@ use crate::frame::fidelity::Intensity;
 use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Result};
-use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::{Echo, MOST_STEPS};
 
 /// The models of echoes.
@@ -86,8 +85,8 @@ impl EchoModels {
                     }
                     let by_last = was_last && last.is_some();
                     let from = if by_last { last.unwrap_or(first_steps) } else { first_steps };
-                    let difference = zigzag(i64::from(wanted) - i64::from(from)) & (u64::MAX >> 1);
-                    let difference = unzigzag(self.ranges[usize::from(by_last)].code(coder, difference));
+                    let difference = i64::from(wanted) - i64::from(from);
+                    let difference = self.ranges[usize::from(by_last)].code_signed(coder, difference);
                     let found = i64::from(from).wrapping_add(difference);
                     if !(1..=i64::from(MOST_STEPS)).contains(&found) {
                         return Err(Error::corrupt("echoes: a range is out of range"));
@@ -128,8 +127,7 @@ impl EchoModels {
         let whole =
             |value: f32| value.fract() == 0.0 && value.abs() < MOST_WHOLE && value.to_bits() != 1 << 31;
         if whole(first) && self.is_whole.code(coder, whole(value)) {
-            let difference = zigzag(value as i64 - first as i64) & (u64::MAX >> 1);
-            let difference = unzigzag(self.intensities.code(coder, difference));
+            let difference = self.intensities.code_signed(coder, value as i64 - first as i64);
             return (first as i64).wrapping_add(difference) as f32;
         }
         f32::from_bits(coder.code_plain(value.to_bits().into(), 32) as u32)

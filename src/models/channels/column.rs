@@ -12,7 +12,7 @@ use super::{RecordContext, Sources, may_be_key};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
-use crate::models::numbers::{Grid, Scale, number, write_number};
+use crate::models::numbers::{NumberGrid, Scale, number, write_number};
 use crate::scan::Scalar;
 
 /// Adaptive models of a column.
@@ -214,7 +214,7 @@ fn code_by_rule<C: BitCoder>(
 fn code_each<C: BitCoder>(
     coder: &mut C,
     off: &mut OffModel,
-    (has_exceptions, grid): (bool, &Grid),
+    (has_exceptions, grid): (bool, &NumberGrid),
     scalar: Scalar,
     values: &mut [u8],
     mut code: impl FnMut(&mut C, usize, Option<i64>) -> Option<i64>,
@@ -241,7 +241,7 @@ pub struct Places<'a> {
     keys: Cow<'a, [u32]>,
     plan: Integers,
     context: &'a RecordContext,
-    pub grid: Grid,
+    pub grid: NumberGrid,
 }
 
 impl<'a> Places<'a> {

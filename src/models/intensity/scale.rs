@@ -1,6 +1,6 @@
 //! The grid of intensities: levels are multiples of an equal part of 1.0.
 
-use crate::models::numbers::{Grid, Scale};
+use crate::models::numbers::{NumberGrid, Scale};
 use crate::scan::Scalar;
 
 /// Levels per 1.0 in the files of known scanners: hundredths (KITTI), 256ths (KITTI-360), 255ths, whole
@@ -70,7 +70,7 @@ impl LevelGrid {
 
 /// The integers of values without a [`LevelGrid`].
 #[derive(Clone, Copy)]
-pub struct RoughGrid(Grid);
+pub struct RoughGrid(NumberGrid);
 
 impl RoughGrid {
     /// The integer of a value, modulo 2^32.

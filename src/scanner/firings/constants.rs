@@ -10,7 +10,7 @@ use super::recipe::whole_steps;
 use super::{ANGLE_UNIT, Build, Firings, Laser, Mounting, Origin, Recipe};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::Return;
-use crate::scanner::motion::RigidMotion;
+use crate::scanner::motion::Displacement;
 
 /// Number of points of each laser on which recipes are tried.
 pub(super) const TRIED: usize = 60;
@@ -41,7 +41,7 @@ pub struct Moved {
 #[derive(Clone, Copy, Debug)]
 pub(in crate::scanner) enum MovedBy {
     /// By a motion of its own, of which it shows little.
-    Motion(RigidMotion),
+    Motion(Displacement),
     /// To the frame of a vehicle; the measured position is accurate to the last bit.
     Mounting(Mounting),
 }

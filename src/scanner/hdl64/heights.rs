@@ -2,7 +2,7 @@
 
 use pulp::NullaryFnOnce;
 
-use super::single_precision::Arithmetic;
+use super::single_precision::SingleBeam;
 use crate::ground::lanes::{dispatch, lanes};
 
 /// Number of points computed at a time.
@@ -43,12 +43,12 @@ impl Heights {
     }
 
     /// The number of exact z at the best height on the grid.
-    pub fn right(&self, beam: &Arithmetic) -> usize {
+    pub fn right(&self, beam: &SingleBeam) -> usize {
         dispatch(Counting { beam, heights: self }).most
     }
 
     /// The number of exact z at the best of all heights, and that height.
-    pub fn best(&self, beam: &Arithmetic) -> (usize, f64) {
+    pub fn best(&self, beam: &SingleBeam) -> (usize, f64) {
         /// Steps on each side of the best heights on the grid within which the best of all heights is
         /// searched for.
         const NEAR: f64 = 8.0;
@@ -82,7 +82,7 @@ impl Heights {
 
 /// The arguments of the count, for a function compiled for several vector units.
 struct Counting<'a> {
-    beam: &'a Arithmetic,
+    beam: &'a SingleBeam,
     heights: &'a Heights,
 }
 

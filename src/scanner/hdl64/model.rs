@@ -19,7 +19,7 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use super::formula::{Formula, Tick, small_atan};
-use super::single_precision::{Arithmetic, Refinement};
+use super::single_precision::{Refinement, SingleBeam};
 use crate::ground::error::{Error, Result};
 use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
@@ -128,7 +128,7 @@ pub struct Hdl64 {
     shifts: Vec<u32>,
     /// Refinements of each beam, if the file's coordinates come from single-precision arithmetic.
     refinements: Option<Vec<Refinement>>,
-    single: Vec<Arithmetic>,
+    single: Vec<SingleBeam>,
 }
 
 impl PartialEq for Hdl64 {
@@ -183,9 +183,9 @@ impl Hdl64 {
     }
 
     /// The constants of beam `row` as used in single precision, without refinements.
-    pub(crate) fn single_precision(&self, row: usize) -> Arithmetic {
+    pub(crate) fn single_precision(&self, row: usize) -> SingleBeam {
         let Formula { sin_v, cos_v, b, c, h, rot, .. } = self.beams[row];
-        Arithmetic::new([sin_v, cos_v, b, c, h, rot], self.ticks)
+        SingleBeam::new([sin_v, cos_v, b, c, h, rot], self.ticks)
     }
 
     /// The same scanner, with ranges rounded to other steps, in micrometres.

@@ -14,7 +14,7 @@ use pulp::NullaryFnOnce;
 
 use super::beams::{Point, thinned};
 use super::heights::Heights;
-use super::single_precision::{Arithmetic, Refinement};
+use super::single_precision::{Refinement, SingleBeam};
 use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::scanner::Hdl64;
@@ -85,25 +85,25 @@ fn best_around(centre: f64, step: f64, reach: i32, mut score: impl FnMut(f64) ->
 }
 
 /// Sets elevation, range offset and height so that z is exact.
-fn fit_height(beam: &mut Arithmetic, sites: &[Site]) -> Option<()> {
+fn fit_height(beam: &mut SingleBeam, sites: &[Site]) -> Option<()> {
     let sine = slope(sites) as f32;
     let cosine = (1.0 - f64::from(sine) * f64::from(sine)).sqrt() as f32;
-    *beam = Arithmetic { cosine, range_offset: range_offset(sites), ..*beam };
+    *beam = SingleBeam { cosine, range_offset: range_offset(sites), ..*beam };
     let heights = Heights::new(&sites.iter().map(|site| (site.metres, site.position[2])).collect::<Vec<_>>());
-    let right = |beam: Arithmetic| {
+    let right = |beam: SingleBeam| {
         let heights = &heights;
-        move |range_offset: f64| heights.right(&Arithmetic { range_offset, ..beam })
+        move |range_offset: f64| heights.right(&SingleBeam { range_offset, ..beam })
     };
     let of_sine = |ulps: i8| {
-        let beam = Arithmetic { sine: moved(sine, ulps), ..*beam };
+        let beam = SingleBeam { sine: moved(sine, ulps), ..*beam };
         let (reached, range_offset) = best_around(beam.range_offset, 4e-8, 6, right(beam));
-        (reached, Arithmetic { range_offset, ..beam })
+        (reached, SingleBeam { range_offset, ..beam })
     };
     (_, *beam) = [-2, -1, 1, 2, 0].map(of_sine).into_iter().max_by_key(|(reached, _)| *reached)?;
     for (step, reach) in [(1e-8, 16), (2e-9, 10)] {
         beam.range_offset = best_around(beam.range_offset, step, reach, right(*beam)).1;
     }
-    let best = |range_offset: f64| heights.best(&Arithmetic { range_offset, ..*beam });
+    let best = |range_offset: f64| heights.best(&SingleBeam { range_offset, ..*beam });
     let (reached, range_offset) = best_around(beam.range_offset, 2.5e-10, 10, |offset| best(offset).0);
     beam.height = best(range_offset).1;
     beam.range_offset = range_offset;
@@ -147,7 +147,7 @@ struct Azimuths {
 
 impl Azimuths {
     /// The intervals of the points for which there is one.
-    fn of(beam: &Arithmetic, sites: &[Site]) -> Self {
+    fn of(beam: &SingleBeam, sites: &[Site]) -> Self {
         let mut azimuths = Azimuths::default();
         for (site, [lowest, highest]) in sites.iter().zip(dispatch(Giving { beam, sites })) {
             if lowest <= highest {
@@ -189,30 +189,30 @@ impl Azimuths {
 
     /// The error of the beam's azimuth, in degrees, if the beam is rotated by `turned` degrees before its
     /// sideways offset is applied.
-    fn miss(&self, number: usize, beam: &Arithmetic, turned: f64) -> f64 {
+    fn miss(&self, number: usize, beam: &SingleBeam, turned: f64) -> f64 {
         let miss = self.degrees(number) - (turned + beam.aside(self.distances[number]));
         miss - (miss / 360.0).round() * 360.0
     }
 
     /// Degrees by which a metre of sideways offset rotates the beam.
-    fn slope(&self, number: usize, beam: &Arithmetic) -> f64 {
+    fn slope(&self, number: usize, beam: &SingleBeam) -> f64 {
         beam.aside(self.distances[number]) / beam.side_offset
     }
 
     /// The angles by which the sideways offset rotates the beam, in degrees.
-    fn sides(&self, beam: &Arithmetic) -> Vec<f64> {
+    fn sides(&self, beam: &SingleBeam) -> Vec<f64> {
         dispatch(Sides { beam, distances: &self.distances })
     }
 
     /// The number of exact points if the beam is rotated sideways by these angles.
-    fn given(&self, beam: &Arithmetic, sides: &[f64]) -> usize {
+    fn given(&self, beam: &SingleBeam, sides: &[f64]) -> usize {
         dispatch(Given { beam, azimuths: self, sides })
     }
 }
 
 /// The arguments of [`Azimuths::of`], for a function compiled for several vector units.
 struct Giving<'a> {
-    beam: &'a Arithmetic,
+    beam: &'a SingleBeam,
     sites: &'a [Site],
 }
 
@@ -237,7 +237,7 @@ impl NullaryFnOnce for Giving<'_> {
 }
 
 #[inline(always)]
-fn giving<const N: usize>(beam: &Arithmetic, sites: &[Site; N]) -> [[f32; 2]; N] {
+fn giving<const N: usize>(beam: &SingleBeam, sites: &[Site; N]) -> [[f32; 2]; N] {
     const REACH: i8 = 3;
     /// In radians: a little more than a turn.
     const LARGEST: f32 = 7.0;
@@ -261,7 +261,7 @@ fn giving<const N: usize>(beam: &Arithmetic, sites: &[Site; N]) -> [[f32; 2]; N]
 
 /// The arguments of [`Azimuths::sides`], for a function compiled for several vector units.
 struct Sides<'a> {
-    beam: &'a Arithmetic,
+    beam: &'a SingleBeam,
     distances: &'a [f32],
 }
 
@@ -281,7 +281,7 @@ impl NullaryFnOnce for Sides<'_> {
 
 /// The arguments of [`Azimuths::given`], for a function compiled for several vector units.
 struct Given<'a> {
-    beam: &'a Arithmetic,
+    beam: &'a SingleBeam,
     azimuths: &'a Azimuths,
     sides: &'a [f64],
 }
@@ -304,13 +304,13 @@ impl NullaryFnOnce for Given<'_> {
 
 /// Sets the cosine, the sideways offset, the angle added to that of a tick, and the tick that counts as 0.
 /// `sharp` are the sites with [`SHARP`] azimuths.
-fn fit_azimuth(beam: &mut Arithmetic, sites: &[Site], sharp: &[Site]) -> Option<()> {
+fn fit_azimuth(beam: &mut SingleBeam, sites: &[Site], sharp: &[Site]) -> Option<()> {
     /// Only correct constants give such a share of exact azimuths.
     const ENOUGH: f64 = 0.99;
     const ROUNDS: usize = 2;
     const SOME: usize = 600;
     let few: Vec<Site> = thinned(sites, 100).copied().collect();
-    let right = |cosine: &f32| Azimuths::of(&Arithmetic { cosine: *cosine, ..*beam }, &few).len();
+    let right = |cosine: &f32| Azimuths::of(&SingleBeam { cosine: *cosine, ..*beam }, &few).len();
     beam.cosine = [1, -1, 0].map(|ulps| moved(beam.cosine, ulps)).into_iter().max_by_key(right)?;
     let (all, sharp) = (Azimuths::of(beam, sites), Azimuths::of(beam, sharp));
     if (all.len() as f64) < LEAST_SHARE * sites.len() as f64 || sharp.len() < FEWEST_POINTS {
@@ -338,7 +338,7 @@ fn fit_azimuth(beam: &mut Arithmetic, sites: &[Site], sharp: &[Site]) -> Option<
 
 /// Least squares for the sideways offset, before it is known how ticks are counted. Within an octave of the
 /// azimuth all rounding errors may be to one side, so each octave has its own mean.
-fn align_sideways(beam: &mut Arithmetic, azimuths: &Azimuths) {
+fn align_sideways(beam: &mut SingleBeam, azimuths: &Azimuths) {
     const OCTAVES: usize = 9;
     /// In degrees. Azimuths that wrap around are rounded like those near 360 degrees, although they are
     /// small.
@@ -399,12 +399,12 @@ impl Line {
 
 /// Searches for the sideways offset and the added angle that make most azimuths exact, on a grid with these
 /// steps in metres and degrees; returns the number of exact azimuths.
-fn turn(beam: &mut Arithmetic, azimuths: &Azimuths, [length, angle]: [f64; 2], reach: i32) -> usize {
+fn turn(beam: &mut SingleBeam, azimuths: &Azimuths, [length, angle]: [f64; 2], reach: i32) -> usize {
     // Calibration files contain decimals.
     let on_grid = |value: f64, step: f64| (value / step).round() * step;
     // A sideways offset rotates all azimuths, for which the added angle compensates.
     let slope = azimuths.sides(beam).iter().sum::<f64>() / (beam.side_offset * azimuths.len() as f64);
-    let pivoted = |side_offset: f64| Arithmetic {
+    let pivoted = |side_offset: f64| SingleBeam {
         side_offset,
         azimuth_offset: beam.azimuth_offset - (side_offset - beam.side_offset) * slope,
         ..*beam
@@ -416,15 +416,15 @@ fn turn(beam: &mut Arithmetic, azimuths: &Azimuths, [length, angle]: [f64; 2], r
     let (_, side_offset) = best_around(on_grid(beam.side_offset, length), length, reach, right);
     let sideways = pivoted(side_offset);
     let sides = azimuths.sides(&sideways);
-    let right = |azimuth_offset: f64| azimuths.given(&Arithmetic { azimuth_offset, ..sideways }, &sides);
+    let right = |azimuth_offset: f64| azimuths.given(&SingleBeam { azimuth_offset, ..sideways }, &sides);
     let (right, azimuth_offset) = best_around(on_grid(sideways.azimuth_offset, angle), angle, reach, right);
-    *beam = Arithmetic { azimuth_offset, ..sideways };
+    *beam = SingleBeam { azimuth_offset, ..sideways };
     right
 }
 
 /// The ticks that may count as 0, each with the angle that is then added to the others: those that agree best
 /// with how angles are rounded, the best first.
-fn count_from(beam: &Arithmetic, azimuths: &Azimuths) -> Vec<Arithmetic> {
+fn count_from(beam: &SingleBeam, azimuths: &Azimuths) -> Vec<SingleBeam> {
     /// Number of azimuths in a first pass, and number of ticks in a second.
     const SOME: usize = 300;
     const LIKELY: usize = 40;
@@ -440,7 +440,7 @@ fn count_from(beam: &Arithmetic, azimuths: &Azimuths) -> Vec<Arithmetic> {
     let median = misses.get(misses.len() / 2).copied().unwrap_or(0.0);
     let counting_from = |first_tick: i64| {
         let turned = (first_tick - beam.first_tick) as f64 * beam.tick_degrees;
-        Arithmetic { azimuth_offset: beam.azimuth_offset + median + turned, first_tick, ..*beam }
+        SingleBeam { azimuth_offset: beam.azimuth_offset + median + turned, first_tick, ..*beam }
     };
     let some = azimuths.some(SOME);
     let (some_sides, sides) = (some.sides(beam), azimuths.sides(beam));
@@ -451,11 +451,11 @@ fn count_from(beam: &Arithmetic, azimuths: &Azimuths) -> Vec<Arithmetic> {
     ticks.sort_unstable_by_key(|&(right, tick)| (Reverse(right), tick.abs()));
     let closely = |&(_, tick): &(usize, i64)| {
         let beam = counting_from(tick);
-        let right = |azimuth_offset: f64| azimuths.given(&Arithmetic { azimuth_offset, ..beam }, &sides);
+        let right = |azimuth_offset: f64| azimuths.given(&SingleBeam { azimuth_offset, ..beam }, &sides);
         let (right, azimuth_offset) = best_around(beam.azimuth_offset, ANGLE_STEP, REACH, right);
-        (right, Arithmetic { azimuth_offset, ..beam })
+        (right, SingleBeam { azimuth_offset, ..beam })
     };
-    let mut candidates: Vec<(usize, Arithmetic)> = ticks.iter().take(LIKELY).map(closely).collect();
+    let mut candidates: Vec<(usize, SingleBeam)> = ticks.iter().take(LIKELY).map(closely).collect();
     candidates.sort_by_key(|(right, _)| Reverse(*right));
     candidates.into_iter().take(CANDIDATES).map(|(_, candidate)| candidate).collect()
 }

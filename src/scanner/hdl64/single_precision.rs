@@ -41,8 +41,8 @@ pub struct Refinement {
 }
 
 impl Refinement {
-    /// The differences between one beam's constants and more accurate ones, both as in [`Arithmetic`].
-    pub(crate) fn between(rough: &Arithmetic, sharp: &Arithmetic) -> Self {
+    /// The differences between one beam's constants and more accurate ones, both as in [`SingleBeam`].
+    pub(crate) fn between(rough: &SingleBeam, sharp: &SingleBeam) -> Self {
         let units = |rough: f64, sharp: f64| ((sharp - rough) / UNIT).round() as i64;
         let turned = sharp.first_tick as f64 * sharp.tick_degrees;
         Refinement {
@@ -91,7 +91,7 @@ impl Refinement {
 
 /// The constants of one beam in the form used by this arithmetic.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Arithmetic {
+pub(crate) struct SingleBeam {
     /// Sine and cosine of the elevation.
     pub sine: f32,
     pub cosine: f32,
@@ -111,12 +111,12 @@ pub(crate) struct Arithmetic {
     pub tick_degrees: f64,
 }
 
-impl Arithmetic {
+impl SingleBeam {
     /// Converts the constants (V, b, c, h, rot) of the f64 formula, in radians and metres, given `ticks` in a
     /// turn.
     pub fn new([sin_v, cos_v, b, c, h, rot]: [f64; 6], ticks: u32) -> Self {
         let range_offset = b / cos_v;
-        Arithmetic {
+        SingleBeam {
             sine: sin_v as f32,
             cosine: cos_v as f32,
             range_offset,
@@ -132,7 +132,7 @@ impl Arithmetic {
     /// The refined constants.
     pub fn refined(self, by: &Refinement) -> Self {
         let turned = by.first_tick as f64 * self.tick_degrees;
-        Arithmetic {
+        SingleBeam {
             sine: from_ordered(ordered(self.sine) + by.sine),
             cosine: from_ordered(ordered(self.cosine) + by.cosine),
             range_offset: self.range_offset + by.range_offset as f64 * UNIT,
@@ -220,14 +220,14 @@ fn within<T: Copy + Default + PartialOrd + Add<Output = T> + Sub<Output = T>>(va
 mod tests {
     use super::*;
 
-    fn rough() -> Arithmetic {
+    fn rough() -> SingleBeam {
         let (sin_v, cos_v) = (-0.1f64).sin_cos();
-        Arithmetic::new([sin_v, cos_v, -0.0004, 0.2, 0.026, 0.0003], 4000)
+        SingleBeam::new([sin_v, cos_v, -0.0004, 0.2, 0.026, 0.0003], 4000)
     }
 
     #[test]
     fn a_refinement_gives_the_constants_that_it_was_made_from() {
-        let sharp = Arithmetic {
+        let sharp = SingleBeam {
             sine: rough().sine.next_up(),
             range_offset: rough().range_offset + 3e-9,
             height: rough().height - 7e-8,

@@ -28,7 +28,7 @@ mod units;
 pub mod world;
 
 pub use by_time::Stamped;
-pub(in crate::scanner) use turn::RigidMotion;
+pub(in crate::scanner) use turn::Displacement;
 pub use turn::{Motion, Mover};
 pub use world::World;
 

@@ -90,9 +90,9 @@ impl Mover {
 
     /// The rigid motion at this part of the turn.
     #[inline]
-    pub(in crate::scanner) fn at(&self, part: f64) -> RigidMotion {
+    pub(in crate::scanner) fn at(&self, part: f64) -> Displacement {
         let (sin, cos) = libm::sincos(part * self.angle);
-        RigidMotion { axis: self.axis, sin, cos, shift: self.translation.map(|metres| part * metres) }
+        Displacement { axis: self.axis, sin, cos, shift: self.translation.map(|metres| part * metres) }
     }
 
     /// [`moved`](Self::moved) for `N` points, of which vector units compute several side by side: accurate up
@@ -162,14 +162,14 @@ impl Mover {
 
 /// A rotation and a translation.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::scanner) struct RigidMotion {
+pub(in crate::scanner) struct Displacement {
     axis: [f64; 3],
     sin: f64,
     cos: f64,
     shift: [f64; 3],
 }
 
-impl RigidMotion {
+impl Displacement {
     /// The position to which a point is moved.
     #[inline]
     pub fn moved(&self, point: [f64; 3]) -> [f64; 3] {

@@ -42,7 +42,7 @@ const TURN_UNIT: f64 = 1.0 / (1u64 << 36) as f64;
 const TIME_UNIT: f64 = 0.25;
 
 /// A bound above the deviation of any point in steps of a lattice.
-const MOST_STEPS: f64 = (1u64 << 40) as f64;
+const MOST_LATTICE_STEPS: f64 = (1u64 << 40) as f64;
 
 /// The pose of the scanner: position in metres along the file's axes, and rotation as axis times angle in
 /// radians.
@@ -182,12 +182,12 @@ fn between(knots: [(f64, &Metric); 2], time: f64, lever: [f64; 3]) -> Metric {
 }
 
 /// The motion from the scanner to the map: g = f32(turn p + shift).
-struct Mover {
+struct ToMap {
     turn: Matrix,
     shift: [f64; 3],
 }
 
-impl Mover {
+impl ToMap {
     #[inline]
     fn world(&self, point: [f64; 3]) -> [f64; 3] {
         let turned = times_vector(&self.turn, point);
@@ -201,7 +201,7 @@ struct Formula<'w> {
     /// Q, and the inverse.
     axes: Matrix,
     back: Matrix,
-    movers: Vec<Mover>,
+    movers: Vec<ToMap>,
     /// Steps of the lattices in metres; 0 for no lattice.
     steps: [f64; 2],
 }
@@ -213,7 +213,7 @@ impl<'w> Formula<'w> {
         let lever = times_vector(&back, [0.0, 0.0, world.origin[2]]);
         let mover = |[place, turn]: Metric| {
             let shift = times_vector(&axes, place);
-            Mover {
+            ToMap {
                 turn: times_matrix(&axes, &rotation(turn)),
                 shift: std::array::from_fn(|axis| shift[axis] + world.origin[axis]),
             }
@@ -245,7 +245,7 @@ impl<'w> Formula<'w> {
         std::array::from_fn(|axis| {
             let off = there[axis] + self.world.origin[axis] - world[axis];
             let steps = off / self.steps[axis];
-            if steps.abs() < MOST_STEPS { steps.round_ties_even() as i64 } else { 0 }
+            if steps.abs() < MOST_LATTICE_STEPS { steps.round_ties_even() as i64 } else { 0 }
         })
     }
 }
