@@ -90,7 +90,8 @@ impl Scanner {
     /// The share of a scan's points that are in its range image.
     pub fn share(&self, cloud: &PointCloud) -> f64 {
         let image = self.project(cloud, REACH).image;
-        let points = cloud.positions.iter().filter(|[x, y, _]| libm::hypotf(*x, *y) > 0.0).count();
+        let is_off_axis = |[x, y, _]: &&[f32; 3]| (*x != 0.0 || *y != 0.0) && !(x.is_nan() || y.is_nan());
+        let points = cloud.positions.iter().filter(is_off_axis).count();
         (image.returns() + image.echoes.len()) as f64 / points.max(1) as f64
     }
 

@@ -183,20 +183,22 @@ fn fitted(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>
     const SAMPLE_OF_MIXED: usize = 16;
     let few = config.sample_frames();
     pool(resolve_threads(config.threads))?.install(|| {
-        let found = fit_all(sample(frames, few, config)?);
+        let (found, explains_all) = fit_all(sample(frames, few, config)?);
         if few >= frames.len().min(SAMPLE_OF_MIXED) {
             return Ok(found);
         }
-        // Frames of two scanners in turn are told by neighbours.
+        // Frames of two scanners in turn are told by neighbours. The first frame is in the sample.
         let is_mixed = match &found[..] {
             [] => false,
             [only] => {
                 let neighbours = [scan_of(frames[0], config)?, scan_of(frames[1], config)?];
-                !unexplained(only, neighbours.into_iter().flatten().collect()).is_empty()
+                let is_exact = explains_any(only, neighbours.iter().flatten());
+                let open = &neighbours[usize::from(explains_all)..];
+                open.iter().flatten().any(|scan| !explains(only, scan, is_exact))
             }
             _ => true,
         };
-        if is_mixed { sample(frames, SAMPLE_OF_MIXED, config).map(fit_all) } else { Ok(found) }
+        if is_mixed { Ok(fit_all(sample(frames, SAMPLE_OF_MIXED, config)?).0) } else { Ok(found) }
     })
 }
 
@@ -205,21 +207,30 @@ const LEAST_SHARE: f64 = 0.5;
 
 /// The scans that this scanner, which was fitted to some of them, does not explain.
 fn unexplained(scanner: &Scanner, mut scans: Vec<ScanFile>) -> Vec<ScanFile> {
-    let own = scanner.firings();
-    let is_exact = own.is_some_and(|own| scans.iter().any(|scan| own.explains(&scan.cloud.positions)));
-    scans.retain(|scan| {
-        // Units of the same model see about the same, but only one of them to the last bit.
-        let exact = own.filter(|_| is_exact).map_or(1.0, |own| own.exact_share(&scan.cloud.positions));
-        // A scan that was moved by time stamps can be attributed to this scanner only after it is moved back.
-        let is_moved = || own.is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
-        let explained = exact.min(scanner.share(&scan.cloud));
-        !scan.cloud.positions.is_empty() && explained < LEAST_SHARE && !is_moved()
-    });
+    let is_exact = explains_any(scanner, &scans);
+    scans.retain(|scan| !explains(scanner, scan, is_exact));
     scans
 }
 
-/// Scanners that together explain the scans of a sample, as far as fits succeed.
-fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
+/// Whether this scanner explains one of these scans to the last bit.
+fn explains_any<'s>(scanner: &Scanner, scans: impl IntoIterator<Item = &'s ScanFile>) -> bool {
+    let own = scanner.firings();
+    own.is_some_and(|own| scans.into_iter().any(|scan| own.explains(&scan.cloud.positions)))
+}
+
+/// Whether a scan is of this scanner; `is_exact`: it explains others of the folder to the last bit.
+fn explains(scanner: &Scanner, scan: &ScanFile, is_exact: bool) -> bool {
+    let own = scanner.firings();
+    // Units of the same model see about the same, but only one of them to the last bit.
+    let exact = own.filter(|_| is_exact).map_or(1.0, |own| own.exact_share(&scan.cloud.positions));
+    // A scan that was moved by time stamps can be attributed to this scanner only after it is moved back.
+    let is_moved = || own.is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
+    let is_seen = || exact.min(scanner.share(&scan.cloud)) >= LEAST_SHARE;
+    scan.cloud.positions.is_empty() || is_seen() || is_moved()
+}
+
+/// Scanners that together explain the scans of a sample, as far as fits succeed, and whether they explain all.
+fn fit_all(mut sample: Vec<ScanFile>) -> (Vec<Scanner>, bool) {
     /// The largest number of scanners in one folder, and the number of failed fits after which no more are
     /// tried.
     const MOST: usize = 8;
@@ -240,7 +251,7 @@ fn fit_all(mut sample: Vec<ScanFile>) -> Vec<Scanner> {
             largest.map(|place| sample.swap_remove(place));
         }
     }
-    found
+    (found, failures == 0 && sample.is_empty())
 }
 
 /// At most `most` frames, spread over the sequence, to which the scanner is fitted.
