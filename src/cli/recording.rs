@@ -393,7 +393,8 @@ fn verify(input: &Path, output: &FileOutput, copied: &Copied, threads: usize) ->
     Ok(())
 }
 
-/// Prints the result, with the number of messages that were left out; `encoded`: the settings and whether the output was verified, if clouds were encoded.
+/// Prints the result, with the number of messages that were left out. `encoded`: the settings, and whether the output
+/// was verified, if clouds were encoded.
 fn say(
     json: bool,
     quiet: bool,

@@ -147,7 +147,7 @@ impl<'s> TrackEncoder<'s> {
             return Ok(self.encode_as(self.config, scan, original)?.0);
         }
         let before = self.state.clone();
-        let mut bounded = self.encode_within_bound(&scan, &original)?;
+        let mut bounded = self.encode_within_bound(&scan, &original, &before)?;
         if let Some(bounded) = bounded.take_if(|_| self.bound_pays) {
             return Ok(bounded);
         }
@@ -166,11 +166,12 @@ impl<'s> TrackEncoder<'s> {
     }
 
     /// Encodes the next frame in bounded mode; `None` if the decoded file would exceed the bound. If only the digits of
-    /// its text are to blame, the points are coded with a smaller error.
+    /// its text are to blame, the points are coded with a smaller error. `before`: the state.
     fn encode_within_bound(
         &mut self,
         scan: &ScanFile,
         original: &FrameHeader,
+        before: &TrackState,
     ) -> Result<Option<EncodedFrame>> {
         /// Number of times that a frame is coded at most.
         const ATTEMPTS: usize = 3;
@@ -178,14 +179,15 @@ impl<'s> TrackEncoder<'s> {
         let within = |max_error_um| Positions::Bounded { max_error_um, on_grid };
         let of_file = max_error_um.saturating_sub(file_rounding_um(scan));
         let Some(bound) = Bound::of(within(of_file), self.config.intensity) else { return Ok(None) };
-        let before = self.state.clone();
-        for _ in 0..ATTEMPTS {
+        for attempt in 0..ATTEMPTS {
             let of_points = of_file.saturating_sub(step_rounding_um(scan)).saturating_sub(self.of_digits_um);
             if of_points == 0 {
                 break;
             }
             let config = EncoderConfig { positions: within(of_points), ..self.config.clone() };
-            self.state = before.clone();
+            if attempt > 0 {
+                self.state.clone_from(before);
+            }
             let (encoded, decoded) = self.encode_as(&config, scan.clone(), original.clone())?;
             let Some(decoded) = decoded else { break };
             if matches!(scan.layout.wrapping, Wrapping::Plain | Wrapping::BigEndian) {
@@ -197,11 +199,12 @@ impl<'s> TrackEncoder<'s> {
                 return Ok(Some(encoded));
             }
             let positions = [scan, &decoded.scan, &written].map(|scan| &scan.cloud.positions[..]);
-            let displaced_um = 1e6 * bound.displaced_by(positions[0], positions[1], positions[2]);
-            if displaced_um == 0.0 {
+            let displaced_um =
+                (1e6 * bound.displaced_by(positions[0], positions[1], positions[2])).ceil() as u32;
+            if displaced_um <= self.of_digits_um {
                 break;
             }
-            self.of_digits_um = self.of_digits_um.max(displaced_um.ceil() as u32);
+            self.of_digits_um = displaced_um;
         }
         Ok(None)
     }

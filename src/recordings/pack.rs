@@ -49,7 +49,8 @@ pub struct Copied {
 ///
 /// # Errors
 /// If the input is not a recording or is already packed, if the input or the output fails, or if the settings are
-/// invalid or those of paper mode. A recording that is truncated or damaged is copied up to the fault: see [`Copied::cut_short`].
+/// invalid or those of paper mode. A recording that is truncated or damaged is copied up to the fault: see
+/// [`Copied::cut_short`].
 pub fn pack<W: Write + Seek>(
     mut input: impl Read + Seek + Send,
     out: W,

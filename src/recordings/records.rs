@@ -190,8 +190,9 @@ fn check_lengths(opcode: u8, contents: &[u8]) -> Result<()> {
         op::METADATA_INDEX => &[Fixed(16), Text],
         _ => &[],
     };
-    let too_short =
-        || Error::Usage(format!("the recording: a record of kind {opcode} is longer than its contents"));
+    let too_short = || {
+        Error::Usage(format!("the recording: a field of a record of kind {opcode} is longer than the record"))
+    };
     let mut rest = contents;
     for field in fields {
         let length = match field {
