@@ -216,6 +216,13 @@ fn drives_in_several_folders_of_an_archive_do_not_collide() {
     let arrived = arrive(&[&entries[..], &END].concat()).unwrap();
     let names: Vec<_> = arrived.iter().map(|(name, _)| &name[..]).collect();
     assert_eq!(names, ["1.bin", "tree/b/1.bin", "2.bin"]);
+    // Without their first folder, these would be a file and a folder of one name.
+    for names in [["a/b.bin", "b.bin/0.bin"], ["a/b.bin", "b.bin/c/0.bin"]] {
+        let both = names.map(|name| entry(name, b'0', &[7; 16]));
+        let arrived = arrive(&[&both.concat()[..], &END].concat());
+        assert!(arrived.unwrap_err().contains("a file and a folder"), "{names:?}");
+    }
+    assert!(arrive(b"x/y/0.bin 1\n7x/y 1\n7").unwrap_err().contains("a file and a folder"));
 }
 
 #[test]

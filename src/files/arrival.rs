@@ -30,10 +30,40 @@ pub struct ArrivedFile {
 pub struct ArrivingFrames<R> {
     source: Source<R>,
     /// The names so far, since no decoder could write two files with one name; none if names may repeat.
-    names: Option<HashSet<String>>,
+    names: Option<Names>,
     /// Whether there was a frame so far.
     has_frames: bool,
     left_out: LeftOut,
+}
+
+/// The names of files that are decoded into one folder.
+#[derive(Default)]
+struct Names {
+    files: HashSet<String>,
+    folders: HashSet<String>,
+}
+
+impl Names {
+    /// Adds a name.
+    ///
+    /// # Errors
+    /// If no decoder could write the file beside those before: its name is taken, or a folder of its path is a file.
+    fn add(&mut self, name: &str) -> Result<()> {
+        if !self.files.insert(name.to_owned()) {
+            return Err(refuse(name, "arrives a second time; give each frame a name of its own"));
+        }
+        let folders = name.match_indices('/').map(|(end, _)| &name[..end]);
+        let is_both =
+            self.folders.contains(name) || folders.clone().any(|folder| self.files.contains(folder));
+        self.folders.extend(folders.map(str::to_owned));
+        if is_both {
+            return Err(refuse(
+                name,
+                "needs a file and a folder of one name; give each frame a name of its own",
+            ));
+        }
+        Ok(())
+    }
 }
 
 /// The input, including the bytes read to recognise its kind.
@@ -54,7 +84,7 @@ impl<R: Read> ArrivingFrames<R> {
         let source = Source::New(BufReader::new(input));
         ArrivingFrames {
             source,
-            names: Some(HashSet::new()),
+            names: Some(Names::default()),
             has_frames: false,
             left_out: LeftOut::default(),
         }
@@ -89,8 +119,8 @@ impl<R: Read> ArrivingFrames<R> {
         };
         let Some(file) = file else { return Ok(None) };
         self.has_frames = true;
-        if self.names.as_mut().is_some_and(|names| !names.insert(file.name.clone())) {
-            return Err(refuse(&file.name, "arrives a second time; give each frame a name of its own"));
+        if let Some(names) = &mut self.names {
+            names.add(&file.name)?;
         }
         Ok(Some(file))
     }
