@@ -8,6 +8,7 @@ use std::path::Path;
 use std::process::{Command as Process, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::common::scans::{scans, small};
 use crate::program::{Bench, Files, failure, odd_files, scan};
 use assert_cmd::cargo::cargo_bin;
 use serde_json::Value;
@@ -134,6 +135,30 @@ fn stats_measure_the_error() {
     fs::remove_file(bench.path("seq/2.bin")).unwrap();
     let error = bench.fails("stats out.lpc --against seq", "seq");
     assert!(error.contains("2.bin"), "{error}");
+}
+
+#[test]
+fn stats_measure_the_error_of_files_with_few_digits() {
+    let bench = Bench::new();
+    let points = &scans(&small(1, 1))[0];
+    let lines = points.iter().map(|[x, y, z, _]| format!("{x:.1},{y:.1},{z:.1}\n"));
+    let text = ["x,y,z\n".to_owned()].into_iter().chain(lines).collect::<String>();
+    bench.write_files("seq", &Files::from([("1.csv".to_owned(), text.into_bytes())]));
+    bench.ok("encode seq -o out.lpc --max-error 300mm");
+    bench.ok("decode out.lpc -o back");
+    let numbers = |folder: &str| -> Vec<f64> {
+        let text = String::from_utf8(bench.files(folder)["1.csv"].clone()).unwrap();
+        text.lines().skip(1).flat_map(|line| line.split(',')).map(|number| number.parse().unwrap()).collect()
+    };
+    let (before, after) = (numbers("seq"), numbers("back"));
+    let distance =
+        |(a, b): (&[f64], &[f64])| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+    let largest = before.chunks(3).zip(after.chunks(3)).map(distance).fold(0.0, f64::max);
+    let measured = bench.json("stats out.lpc --against seq --json")["against"]["max_error_m"].clone();
+    assert!(
+        largest > 0.05 && (measured.as_f64().unwrap() - largest).abs() < 1e-5,
+        "{measured}, not {largest}"
+    );
 }
 
 #[test]

@@ -6,8 +6,8 @@ mod pictures;
 use std::io::{Cursor, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
-use crate::files::parse_like;
 use crate::files::sequence::find_frames;
+use crate::files::{parse_like, rounded_by_file};
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::Error;
 use crate::library::Decoder;
@@ -135,7 +135,8 @@ fn decode_one(
 impl Compared {
     /// The distance of each point of the file from the original, in metres, if known.
     fn errors(&self) -> Option<Vec<Option<f64>>> {
-        let decoded = &self.frame.scan;
+        let rounded = rounded_by_file(&self.frame.scan, self.frame.to_bytes().ok()?);
+        let decoded = rounded.as_ref().unwrap_or(&self.frame.scan);
         let original = parse_like(decoded, &decoded.name, self.original.clone()?);
         let measure = if self.frame.keeps_order { paired_distances } else { nearest_distances };
         Some(measure(&original.cloud, &decoded.cloud))

@@ -175,6 +175,17 @@ pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
     }
 }
 
+/// The scan that the file of a decoded scan holds, whose `bytes` are given, if writing may round its values, as by the
+/// digits of text. `None` if the file holds them as they are.
+pub fn rounded_by_file(scan: &ScanFile, bytes: Vec<u8>) -> Option<ScanFile> {
+    match scan.layout.wrapping {
+        Wrapping::Plain | Wrapping::BigEndian | Wrapping::PcdCompressed { .. } => None,
+        Wrapping::Text(_) | Wrapping::Scaled(_) | Wrapping::Widened(_) | Wrapping::ByField(_) => {
+            Some(parse_like(scan, &scan.name, bytes))
+        }
+    }
+}
+
 /// The layout of records with these fields side by side, one record after the other. The names and types of
 /// the fields determine their roles. `None` if the records are empty or too long.
 pub fn plain_layout(fields: Vec<Field>) -> Option<Layout> {

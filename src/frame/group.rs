@@ -17,7 +17,7 @@ use super::syntax::Models;
 use super::whole::WholeFile;
 use crate::article::prediction::intra::IntraPrediction;
 use crate::container::{FrameHeader, Section, Unit, allowance, pay_for};
-use crate::files::parse_like;
+use crate::files::rounded_by_file;
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::grid::Grid;
 use crate::inter;
@@ -190,11 +190,9 @@ impl<'s> TrackEncoder<'s> {
             }
             let (encoded, decoded) = self.encode_as(&config, scan.clone(), original.clone())?;
             let Some(decoded) = decoded else { break };
-            if matches!(scan.layout.wrapping, Wrapping::Plain | Wrapping::BigEndian) {
-                // The file holds the decoded values as they are.
+            let Some(written) = rounded_by_file(&decoded.scan, decoded.bytes) else {
                 return Ok(bound.holds(scan, &decoded.scan).then_some(encoded));
-            }
-            let written = parse_like(scan, &scan.name, decoded.bytes);
+            };
             if bound.holds(scan, &written) {
                 return Ok(Some(encoded));
             }

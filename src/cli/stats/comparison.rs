@@ -2,7 +2,7 @@
 
 use std::io::{self, BufReader, Read, Write};
 
-use crate::files::parse_like;
+use crate::files::{parse_like, rounded_by_file};
 use crate::stream::{self, DecodeOptions, DecodedFrame};
 use crate::study::metrics::{GeometryPsnr, NearestErrors, NearestPairs, PEAK_M, PointErrors};
 use serde::Serialize;
@@ -83,13 +83,15 @@ struct Comparison {
 
 impl Comparison {
     fn add(&mut self, original: Vec<u8>, frame: DecodedFrame) -> crate::ground::error::Result<()> {
-        let is_identical = original == frame.to_bytes()?;
+        let bytes = frame.to_bytes()?;
+        let is_identical = original == bytes;
         match is_identical {
             true => self.identical_files += 1,
             false => self.differing_files += 1,
         }
         let keeps_order = frame.keeps_order;
-        let decoded = frame.scan;
+        // The values of the file: those of the stream have more digits than text.
+        let decoded = rounded_by_file(&frame.scan, bytes).unwrap_or(frame.scan);
         let original = parse_like(&decoded, &frame.header.name, original);
         let (original, decoded) = (&original.cloud, &decoded.cloud);
         if keeps_order {
