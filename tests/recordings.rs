@@ -7,7 +7,7 @@ use crate::common::messages::cloud;
 use crate::common::scans::{Points, scans};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 use lidarpc::recordings::internals::{Encoding, points as points_of, scan};
-use lidarpc::recordings::{Clouds, Copied, TopicFilter, pack, unpack};
+use lidarpc::recordings::{Clouds, Copied, TopicFilter, examine, pack, unpack};
 use lidarpc::{Decoder, Encoder, Settings};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, WriteOptions};
@@ -113,7 +113,7 @@ fn recordings_come_back_message_by_message() {
         let original = recording(compression, is_cdr);
         let (small, copied) = packed(&original, &Settings::default(), &TopicFilter::default());
         assert_eq!((copied.messages, copied.clouds, copied.kept), (15, 9, 2));
-        assert_eq!((copied.attachments, copied.cut_short), (2, None));
+        assert_eq!((copied.attachments, copied.damage), (2, None));
         let [before, after] = copied.cloud_bytes;
         assert!(after * 8 < before, "{before} bytes of clouds to {after}");
         // Any reader sees the same topics, times and sequence numbers.
@@ -180,7 +180,7 @@ fn a_recording_that_is_cut_short_is_taken_as_far_as_it_is_whole() {
     let (messages, ..) = contents(&original);
     let cut = &original[..original.len() / 2];
     let (small, copied) = packed(cut, &Settings::default(), &TopicFilter::default());
-    assert!(copied.cut_short.is_some() && copied.messages > 2, "{copied:?}");
+    assert!(copied.damage.is_some() && copied.messages > 2, "{copied:?}");
     let (restored, ..) = contents(&unpacked(&small).0);
     assert_eq!(restored, messages[..restored.len()]);
     assert_eq!(restored.len() as u64, copied.messages);
@@ -191,9 +191,6 @@ fn a_recording_that_is_cut_short_is_taken_as_far_as_it_is_whole() {
 
 #[test]
 fn records_that_claim_to_be_longer_than_they_are_are_not_read() {
-    let record = |opcode: u8, contents: &[u8]| {
-        [&[opcode], &(contents.len() as u64).to_le_bytes()[..], contents].concat()
-    };
     let start = [mcap::MAGIC, &record(1, &[0; 8])].concat();
     let endless = [0xff; 4];
     // A header, a schema, a channel and its metadata, a chunk, metadata: with one text of 4 GiB each. An attachment
@@ -210,7 +207,7 @@ fn records_that_claim_to_be_longer_than_they_are_are_not_read() {
         let contents = if opcode == 9 { fields } else { [&fields[..], &endless].concat() };
         let damaged = [&start[..], &record(opcode, &contents)].concat();
         let copied = packed(&damaged, &Settings::default(), &TopicFilter::default()).1;
-        let fault = copied.cut_short.expect("a fault");
+        let fault = copied.damage.expect("a fault");
         assert!(fault.contains(&format!("kind {opcode}")), "{fault}");
     }
     let header = [mcap::MAGIC, &record(1, &endless)].concat();
@@ -230,21 +227,100 @@ fn records_that_claim_to_be_longer_than_they_are_are_not_read() {
     let footer = record(2, &[&(data.len() as u64).to_le_bytes()[..], &[0; 12]].concat());
     let damaged = [data, &summary, &footer, mcap::MAGIC].concat();
     let (small, copied) = packed(&damaged, &Settings::default(), &TopicFilter::default());
-    assert_eq!(copied.cut_short, None);
+    assert_eq!(copied.damage, None);
     assert_eq!(contents(&unpacked(&small).0).0, messages);
+}
+
+/// A record with its kind and length.
+fn record(opcode: u8, contents: &[u8]) -> Vec<u8> {
+    [&[opcode], &(contents.len() as u64).to_le_bytes()[..], contents].concat()
+}
+
+#[test]
+fn what_is_damaged_is_left_out_and_said_and_the_rest_is_taken() {
+    let whole = recording(None, true);
+    let (messages, ..) = contents(&whole);
+    let at = |part: &[u8]| whole.windows(part.len()).position(|bytes| bytes == part).unwrap();
+    let flipped = |at: usize| {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1;
+        bytes
+    };
+    let with = |parts: &[&[u8]]| parts.concat();
+    let (before, after) = whole.split_at(mcap::MAGIC.len() + 9 + whole[9] as usize);
+    let data_end = whole.windows(9).rposition(|bytes| bytes == [15, 4, 0, 0, 0, 0, 0, 0, 0]).unwrap();
+    let message = record(5, &[&[99, 0][..], &[0; 20]].concat());
+    let schema = record(3, &[0; 14]);
+    let other_schema = record(3, &[&[3, 0][..], &[0; 12]].concat());
+    let channel = record(4, &[&[98, 0, 97, 0][..], &[0; 12]].concat());
+    // The damage, the recording, and how many of its messages are not as they were.
+    let cases = [
+        ("CRC", flipped(at(b"hello")), 1),
+        ("checksum of its data", flipped(at(b"operator")), 0),
+        ("checksum of its summary", flipped(whole.len() - 38), 0),
+        ("what follows its end", with(&[&whole, &whole]), 0),
+        ("what follows its end", with(&[&whole, b"x"]), 0),
+        ("in the middle of a record", whole[..whole.len() - 1].to_vec(), 0),
+        ("in the middle of a record", whole[..data_end + 13].to_vec(), 0),
+        ("records after the end of its data", with(&[&whole[..data_end + 13], &message, &whole]), 0),
+        ("channel 99, which does not exist", with(&[before, &message, after]), 0),
+        ("a schema has the number 0", with(&[before, &schema, after]), 0),
+        ("channel 98 has schema 97", with(&[before, &channel, after]), 0),
+        ("two schemas of number 3", with(&[&whole[..data_end], &other_schema, &whole[data_end..]]), 0),
+    ];
+    for (expected, damaged, changed) in cases {
+        let (small, copied) = packed(&damaged, &Settings::default(), &TopicFilter::default());
+        let damage = copied.damage.expect(expected);
+        assert!(damage.contains(expected), "{expected}: {damage}");
+        let (restored, ..) = contents(&unpacked(&small).0);
+        let differ = restored.iter().zip(&messages).filter(|(a, b)| a != b).count();
+        assert_eq!((restored.len(), differ), (messages.len(), changed), "{expected}");
+        let found = examine(&damaged[..], true, 1, &|| ()).unwrap();
+        assert_eq!(found.damage, Some(damage));
+    }
+}
+
+#[test]
+fn a_damaged_cloud_is_left_out_and_those_after_it_are_taken() {
+    let original = recording(None, true);
+    let (small, copied) = packed(&original, &Settings::default(), &TopicFilter::default());
+    // A program that rewrites a recording drops schemas to which no channel refers.
+    let mut out = WriteOptions::new().create(Cursor::new(Vec::new())).unwrap();
+    let mut is_first = true;
+    for message in mcap::MessageStream::new(&small).unwrap() {
+        let mut message = message.unwrap();
+        let payload = message.data.windows(4).position(|bytes| bytes == b"\x89LPC");
+        if let Some(place) = payload.filter(|_| std::mem::take(&mut is_first)) {
+            message.data.to_mut()[place + 100] ^= 0xff;
+        }
+        out.write(&message).unwrap();
+    }
+    out.finish().unwrap();
+    let damaged = out.into_inner().into_inner();
+    let (restored, restored_clouds) = unpacked(&damaged);
+    assert!(restored_clouds.damage.unwrap().contains("is left out"));
+    assert_eq!(restored_clouds.clouds + 1, copied.clouds);
+    assert_eq!(contents(&restored).0.len() + 1, contents(&original).0.len());
+    let filter = TopicFilter::default();
+    let mut clouds = Clouds::open(&damaged[..], &filter).unwrap();
+    assert_eq!(clouds.by_ref().count() as u64 + 1, copied.clouds);
+    assert!(clouds.damage().unwrap().contains("is left out"));
 }
 
 #[test]
 fn clouds_become_a_stream_with_their_times() {
     let original = recording(None, true);
     let small = packed(&original, &Settings::default(), &TopicFilter::default()).0;
+    // The clouds of the other topic are the same but big-endian, and one more without points.
+    let of_rear = TopicFilter { topics: vec!["/rear/points".to_owned()] };
+    let rear: Vec<_> = Clouds::open(&original[..], &of_rear).unwrap().collect();
+    assert_eq!(rear.iter().map(|scan| scan.len()).filter(|length| *length > 0).count(), 4);
+    assert_eq!(rear[0].positions()[7], [0, 1, 2].map(|axis| turns(4)[0][7][axis]));
     for recording in [&original, &small] {
         let filter = TopicFilter { topics: vec!["/front/points".to_owned()] };
         let mut stream = Vec::new();
         let mut encoder = Encoder::new(&mut stream, Settings::default()).unwrap();
-        Clouds::open(&recording[..], &filter)
-            .unwrap()
-            .for_each(|cloud| encoder.push(cloud.unwrap()).unwrap());
+        Clouds::open(&recording[..], &filter).unwrap().for_each(|cloud| encoder.push(cloud).unwrap());
         encoder.finish().unwrap();
         let scans = Decoder::stream(&stream[..], 1).unwrap().map(Result::unwrap);
         let found: Vec<_> = scans.map(|scan| (scan.len(), scan.time())).collect();
@@ -305,9 +381,11 @@ fn the_program_packs_and_unpacks() {
     cut.stderr(predicates::str::contains("is cut short or damaged"));
     assert!(std::path::Path::new(&path("rest.mcap")).is_file());
     for command in ["verify", "stats", "info"] {
-        let code = if command == "info" { 0 } else { 3 };
-        lidarpc(&[command, &path("cut.mcap")]).code(code);
+        lidarpc(&[command, &path("cut.mcap")]).code(3);
     }
+    let no_topic = ["encode", &path("drive.mcap"), "--topic", "/nope", "-o", &path("nope.mcap")];
+    lidarpc(&no_topic).code(1).stderr(predicates::str::contains("no clouds on the topic \"/nope\""));
+    assert!(!std::path::Path::new(&path("nope.mcap")).exists());
     // What is wrong with the input names the input.
     std::fs::write(path("bad.mcap"), b"\x89MCAP0\r\n\x01garbage").unwrap();
     for command in ["encode", "decode"] {
@@ -330,11 +408,19 @@ fn the_program_packs_and_unpacks() {
     }
     let rounded = json(&[&lossy[..], &["--max-error", "1cm"]].concat());
     assert_eq!((&rounded["mode"], &rounded["max_error_m"]), (&"bounded".into(), &0.01.into()));
-    for [command, complaint] in
-        [["estimate", "`encode` a recording"], ["repair", "no stream"], ["view", "no stream"]]
-    {
+    for [command, complaint] in [
+        ["estimate", "`encode` a recording"],
+        ["repair", "no stream"],
+        ["view", "no stream"],
+        ["cut", "no stream"],
+        ["cat", "no stream"],
+    ] {
         let output = path("out.png");
-        let output: &[&str] = if command == "estimate" { &[] } else { &["-o", &output] };
+        let output: &[&str] = match command {
+            "estimate" => &[],
+            "cut" => &["--frames", "0", "-o", &output],
+            _ => &["-o", &output],
+        };
         let drive = path("drive.mcap");
         lidarpc(&[&[command, &drive], output].concat()).code(2).stderr(predicates::str::contains(complaint));
     }

@@ -14,7 +14,7 @@ use super::args::CatArgs;
 use super::errors::about;
 use super::input::{Input, check_stdin_once, name_of};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
-use super::table;
+use super::{recording, table};
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -30,6 +30,7 @@ pub fn run(args: &CatArgs, quiet: bool) -> Result<()> {
     check_stdin_once("cat", &args.inputs);
     check_json("cat", args.json, &args.output);
     let start = Instant::now();
+    recording::refuse("cat", &args.inputs, "encode the clouds of each to FILE.lpc, and join these");
     keep_inputs(&args.output, &args.inputs)?;
     let mut output = FileOutput::binary(&args.output, args.force)?;
     let name = name_of_output(&args.output);

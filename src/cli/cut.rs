@@ -14,7 +14,7 @@ use super::decode::chosen_frames;
 use super::errors::about;
 use super::input::{Input, name_of, open};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
-use super::table;
+use super::{recording, table};
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -30,8 +30,10 @@ struct Report {
 pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
     check_json("cut", args.json, &args.output);
     let start = Instant::now();
+    let inputs = std::slice::from_ref(&args.input);
+    recording::refuse("cut", inputs, "encode its clouds to FILE.lpc, and cut that");
     let input = open(&args.input)?;
-    keep_inputs(&args.output, std::slice::from_ref(&args.input))?;
+    keep_inputs(&args.output, inputs)?;
     let frames = chosen_frames("cut", &args.input, args.frames, args.time, args.limits.limits())?;
     let mut output = FileOutput::binary(&args.output, args.force)?;
     let name = name_of_output(&args.output);

@@ -89,11 +89,15 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     let mut out = io::BufWriter::new(io::stdout().lock());
     let read = for_each_file("info", &args.inputs, |path| {
         let (info, damage) = match recording::is_recording(path) {
-            true => (Listed::Recording(recording::examine(path, false, 1, true)?), None),
+            true => {
+                let listing = recording::examine(path, false, 1, true)?;
+                let damage = listing.check().err();
+                (Listed::Recording(listing), damage)
+            }
             false => {
                 let info = Info::read(name_of(path), open(path)?.reader(), args.limits.limits());
                 let (info, damage) = info.map_err(|error| about(error, &name_of(path)))?;
-                (Listed::Stream(info), damage)
+                (Listed::Stream(info), damage.map(|error| about(error, &name_of(path))))
             }
         };
         if !args.json {
@@ -108,7 +112,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
             out.flush()?;
         }
         infos.push(info);
-        damage.map_or(Ok(()), |error| Err(about(error, &name_of(path))))
+        damage.map_or(Ok(()), Err)
     });
     drop(out);
     if args.json {

@@ -1,8 +1,9 @@
 //! Recordings as inputs and outputs: `encode drive.mcap`, `decode small.mcap`.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use crate::files::{FileFormat, convert, write};
@@ -33,6 +34,13 @@ pub fn is_recording(path: &Path) -> bool {
     }
 }
 
+/// Ends the program if an input of a subcommand that takes only streams is a recording.
+pub fn refuse(subcommand: &str, inputs: &[PathBuf], advice: &str) {
+    if inputs.iter().any(|input| is_recording(input)) {
+        wrong_usage(subcommand, format!("a recording is no stream; {advice}"));
+    }
+}
+
 /// Whether the name is that of a recording.
 fn is_named_so(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
@@ -54,7 +62,7 @@ struct Report {
     cloud_bytes_before: u64,
     cloud_bytes_after: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
-    cut_short: Option<String>,
+    damage: Option<String>,
     /// Messages on topics of clouds that have no place in a stream of clouds alone.
     left_out: u64,
     verified: bool,
@@ -105,12 +113,13 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
         recordings::pack(open(input)?, out, &Settings::of_config(config.clone()), &filter, &|| bar.inc(1))
     })?;
     bar.finish_and_clear();
+    check_topics(input, &args.topic, &copied.topics)?;
     if args.verify {
         verify(input, &output, &copied, args.threads.threads)?;
     }
     output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
     say(args.json, quiet, args.output(), (&copied, 0), Some((config, args.verify)), start)?;
-    check_whole(input, copied.cut_short.as_deref())
+    check_whole(input, copied.damage.as_deref())
 }
 
 /// Encodes the clouds alone, as frames of a stream with their times.
@@ -127,7 +136,7 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
         Clouds::open(open(input)?, &filter).map_err(|error| about(error, &input.display().to_string()))?;
     let mut writer = output.writer();
     let frames = clouds.by_ref().map(|cloud| {
-        let (scan, stamp) = cloud?.into_parts();
+        let (scan, stamp) = cloud.into_parts();
         Ok(FrameInput::scan(scan).stamped(stamp))
     });
     let encoded = stream::encode_live(frames, config, &mut writer, &|| bar.inc(1));
@@ -135,12 +144,10 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
     bar.finish_and_clear();
     drop(writer);
     let encoded = encoded.map_err(|error| about(error, &name))?;
-    let (cut_short, left_out) = (clouds.cut_short.take(), clouds.left_out);
-    ensure!(
-        !encoded.frames.is_empty(),
-        "{}: holds no cloud that can be encoded alone; --topic chooses",
-        input.display()
-    );
+    let (damage, left_out) = (clouds.damage(), clouds.left_out);
+    check_topics(input, &args.topic, &clouds.topics)?;
+    let none = damage.as_ref().map_or(String::new(), |damage| format!(" ({damage})"));
+    ensure!(!encoded.frames.is_empty(), "{}: holds no cloud that can be encoded{none}", input.display());
     output.finish().map_err(|error| about(error, &name))?;
     if args.json {
         print_json(&Report {
@@ -153,7 +160,7 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
             attachments: 0,
             cloud_bytes_before: encoded.file_bytes(),
             cloud_bytes_after: encoded.stream_bytes,
-            cut_short: cut_short.clone(),
+            damage: damage.clone(),
             left_out,
             verified: false,
             seconds: start.elapsed().as_secs_f64(),
@@ -170,7 +177,7 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
             start.elapsed().as_secs_f64(),
         );
     }
-    check_whole(input, cut_short.as_deref())
+    check_whole(input, damage.as_deref())
 }
 
 /// `decode` for a recording: to one with the original clouds, or to a folder of scans.
@@ -195,7 +202,7 @@ pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
         decode_clouds(args, input, quiet)?
     };
     say(args.json, quiet, args.output(), (&copied, left_out), None, start)?;
-    check_whole(input, copied.cut_short.as_deref())
+    check_whole(input, copied.damage.as_deref())
 }
 
 /// Decodes the clouds to files in a folder. Returns also the number of messages that were left out.
@@ -211,7 +218,7 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<(Copied
     let bar = progress::bar(None, "decoding", quiet);
     let mut copied = Copied::default();
     for (number, cloud) in clouds.by_ref().enumerate() {
-        let (mut scan, _) = cloud.map_err(at)?.into_parts();
+        let (mut scan, _) = cloud.into_parts();
         scan.name = format!("{number:06}");
         let file = convert(&scan, format).map_err(at)?;
         let bytes = folder.write(&file.name, |give| write(&file, give)).map_err(at)?;
@@ -222,7 +229,8 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<(Copied
         bar.inc(1);
     }
     bar.finish_and_clear();
-    copied.cut_short = clouds.cut_short.take();
+    copied.damage = clouds.damage();
+    check_topics(input, &args.topic, &clouds.topics)?;
     folder.finish()?;
     Ok((copied, clouds.left_out))
 }
@@ -235,7 +243,7 @@ pub struct Listing {
     topics: Vec<TopicListing>,
     attachments: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
-    cut_short: Option<String>,
+    damage: Option<String>,
 }
 
 #[derive(Serialize)]
@@ -261,7 +269,7 @@ pub fn examine(path: &Path, decodes: bool, threads: usize, quiet: bool) -> Resul
     let bar = progress::bar(None, "reading", quiet);
     let contents = recordings::examine(file, decodes, threads, &|| bar.inc(1));
     bar.finish_and_clear();
-    let Contents { topics, attachments, cut_short } = contents.map_err(at)?;
+    let Contents { topics, attachments, damage } = contents.map_err(at)?;
     let listing = |topic: Topic| TopicListing {
         topic: topic.name,
         schema: topic.schema,
@@ -272,10 +280,15 @@ pub fn examine(path: &Path, decodes: bool, threads: usize, quiet: bool) -> Resul
         cloud_bytes: decodes.then_some(topic.cloud_bytes),
     };
     let topics = topics.into_iter().map(listing).collect();
-    Ok(Listing { file: path.display().to_string(), file_bytes, topics, attachments, cut_short })
+    Ok(Listing { file: path.display().to_string(), file_bytes, topics, attachments, damage })
 }
 
 impl Listing {
+    /// Number of messages.
+    pub fn messages(&self) -> u64 {
+        self.topics.iter().map(|topic| topic.messages).sum()
+    }
+
     /// Number of compressed clouds.
     pub fn clouds(&self) -> u64 {
         self.topics.iter().map(|topic| topic.compressed).sum()
@@ -291,23 +304,22 @@ impl Listing {
     /// # Errors
     /// If it is cut short or damaged.
     pub fn check(&self) -> Result<()> {
-        check_whole(Path::new(&self.file), self.cut_short.as_deref())
+        check_whole(Path::new(&self.file), self.damage.as_deref())
     }
 }
 
 /// Prints the list of topics.
 pub fn print(listing: &Listing, out: &mut impl Write) -> std::io::Result<()> {
-    let messages = listing.topics.iter().map(|topic| topic.messages).sum();
     let channels = table::count(listing.topics.len() as u64, "channel");
     writeln!(
         out,
-        "recording (MCAP) of {}: {} in {channels}, {}",
+        "recording (MCAP) of {}: {} in {channels}, {} of attachments and metadata",
         table::bytes(listing.file_bytes),
-        table::count(messages, "message"),
-        table::count(listing.attachments, "attachment or record of metadata"),
+        table::count(listing.messages(), "message"),
+        table::count(listing.attachments, "record"),
     )?;
-    if let Some(what) = &listing.cut_short {
-        writeln!(out, "cut short or damaged ({what}); of what stands before:")?;
+    if let Some(what) = &listing.damage {
+        writeln!(out, "cut short or damaged ({what}); of what can be read:")?;
     }
     writeln!(out)?;
     writeln!(out, "{:>9} {:>12} {:>10}  topic (schema)", "messages", "bytes", "compressed")?;
@@ -417,7 +429,7 @@ fn say(
             attachments: copied.attachments,
             cloud_bytes_before: before,
             cloud_bytes_after: after,
-            cut_short: copied.cut_short.clone(),
+            damage: copied.damage.clone(),
             left_out,
             verified,
             seconds,
@@ -429,8 +441,9 @@ fn say(
             kept => format!(", {} of a topic of clouds copied as they are", table::count(kept, "message")),
         };
         let sizes = match before {
-            _ if after >= before => table::bytes(after),
-            _ => format!(
+            0 => "none",
+            _ if after >= before => &table::bytes(after),
+            _ => &format!(
                 "{} -> {} ({})",
                 table::bytes(before),
                 table::bytes(after),
@@ -442,8 +455,10 @@ fn say(
             table::count(copied.messages, "message"),
             table::count(copied.clouds, "cloud"),
             match encoded {
-                Some((config, _)) => format!(", {}", encode::fidelity(config, None)),
-                None => String::new(),
+                Some((config, _)) if copied.clouds > 0 => {
+                    format!(", {}", encode::fidelity(config, None))
+                }
+                _ => String::new(),
             },
             left_out_of(left_out),
             if verified { ", verified" } else { "" },
@@ -452,15 +467,23 @@ fn say(
     Ok(())
 }
 
+/// Checks that the recording has clouds on each of the selected topics.
+fn check_topics(input: &Path, selected: &[String], found: &BTreeSet<String>) -> Result<()> {
+    let missing = selected.iter().find(|topic| !found.contains(*topic));
+    missing.map_or(Ok(()), |topic| {
+        bail!("{}: has no clouds on the topic {topic:?}; `info` lists its topics", input.display())
+    })
+}
+
 /// Checks that the whole recording was processed.
 ///
 /// # Errors
-/// If it was cut short or damaged: everything before that was processed, and the output exists.
-fn check_whole(input: &Path, cut_short: Option<&str>) -> Result<()> {
-    match cut_short {
+/// If it is cut short or damaged: all that can be read was processed, and the output exists.
+fn check_whole(input: &Path, damage: Option<&str>) -> Result<()> {
+    match damage {
         None => Ok(()),
         Some(what) => Err(NotWhole(format!(
-            "{}: is cut short or damaged ({what}); all before that was taken",
+            "{}: is cut short or damaged ({what}); all that can be read was taken",
             input.display()
         ))
         .into()),

@@ -8,7 +8,7 @@ use anyhow::Result;
 use serde::Serialize;
 
 use super::args::RepairArgs;
-use super::errors::{about, wrong_usage};
+use super::errors::about;
 use super::input::{name_of, open};
 use super::losses::{LossReport, Losses};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
@@ -24,11 +24,8 @@ struct Report {
 
 pub fn run(args: &RepairArgs, quiet: bool) -> Result<()> {
     check_json("repair", args.json, &args.output);
-    if recording::is_recording(&args.input) {
-        let what =
-            "a recording is no stream; `encode` and `decode` take all that stands before its first fault";
-        wrong_usage("repair", what);
-    }
+    let input = std::slice::from_ref(&args.input);
+    recording::refuse("repair", input, "`encode` and `decode` take all of it that can be read");
     let input = name_of(&args.input);
     let stream = open(&args.input)?.rewindable().map_err(|error| about(error, &input))?;
     keep_inputs(&args.output, std::slice::from_ref(&args.input))?;

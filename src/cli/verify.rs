@@ -29,6 +29,9 @@ struct Report {
     /// Files beside the scans; their bytes are included in `file_bytes`.
     files_beside: u64,
     file_bytes: u64,
+    /// Of a recording, all messages; its frames are the compressed clouds among them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    messages: Option<u64>,
     /// Whether the frames were compared with the originals.
     compared: bool,
     /// Whether they were decoded without vector units.
@@ -55,6 +58,7 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
             frames: 0,
             files_beside: 0,
             file_bytes: 0,
+            messages: None,
             compared: originals.is_some(),
             deep: args.deep,
         };
@@ -64,7 +68,13 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
         if !quiet && !args.json && report.whole {
             let same = if report.compared { ", all as the originals" } else { "" };
             let deep = if report.deep { ", decoded without vector units" } else { "" };
-            let frames = table::frames_and_files(report.frames, report.files_beside);
+            let frames = match report.messages {
+                Some(messages) => {
+                    let clouds = table::count(report.frames, "compressed cloud");
+                    format!("{}, of which {clouds}", table::count(messages, "message"))
+                }
+                None => table::frames_and_files(report.frames, report.files_beside),
+            };
             let bytes = table::bytes(report.file_bytes);
             writeln!(io::stdout(), "{}: whole; {frames}, {bytes}{same}{deep}", report.file)?;
         }
@@ -96,6 +106,7 @@ fn verify(
     if recording::is_recording(path) {
         let found = recording::examine(path, true, args.threads.threads, quiet)?;
         (report.frames, report.file_bytes) = (found.clouds(), found.cloud_bytes());
+        report.messages = Some(found.messages());
         return found.check();
     }
     let input = open(path)?;

@@ -26,9 +26,8 @@ pub use pictures::Kind;
 use pictures::{PICTURES, Pictures};
 
 pub fn run(args: &ViewArgs, quiet: bool) -> Result<()> {
-    if recording::is_recording(&args.input) {
-        wrong_usage("view", "a recording is no stream; encode its clouds to FILE.lpc, and view that");
-    }
+    let input = std::slice::from_ref(&args.input);
+    recording::refuse("view", input, "encode its clouds to FILE.lpc, and view that");
     match (&args.html, &args.output) {
         (Some(page), _) => write_page(args, page, quiet),
         (None, Some(picture)) => write_picture(args, picture),

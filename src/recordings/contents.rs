@@ -1,6 +1,6 @@
 //! The contents of a recording: its clouds as scans, its topics, and whether another recording has the same messages.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::io::Read;
 use std::sync::{Mutex, PoisonError};
 
@@ -8,10 +8,10 @@ use mcap::records::{Channel, MessageHeader, Record};
 
 use super::message::{self, Encoding};
 use super::pack::unpacked;
-use super::records::Records;
+use super::records::{Faults, Records};
 use crate::container::{Stamp, Time, TimeSource, Unit};
 use crate::frame::settings::resolve_threads;
-use crate::ground::error::Result;
+use crate::ground::error::{Error, Result};
 use crate::library::Scan;
 use crate::stream::ordered::run_ordered;
 
@@ -29,17 +29,17 @@ impl TopicFilter {
 }
 
 /// The clouds of a recording, compressed or not, one after another, each with its time. If there are several topics,
-/// each topic is a track of its own.
+/// each topic is a track of its own. What is damaged is left out: see [`damage`](Self::damage).
 pub struct Clouds<'f, R> {
     records: Records<R>,
     filter: &'f TopicFilter,
     schemas: HashMap<u16, String>,
     /// Channels of clouds, each with the number of its track.
     channels: HashMap<u16, (Encoding, u8)>,
+    /// The topics of these channels.
+    pub topics: BTreeSet<String>,
     /// Number of messages on these channels so far that are no clouds with coordinates.
     pub left_out: u64,
-    /// The fault at which reading stopped, if the recording has one.
-    pub cut_short: Option<String>,
 }
 
 impl<'f, R: Read> Clouds<'f, R> {
@@ -49,8 +49,13 @@ impl<'f, R: Read> Clouds<'f, R> {
     /// If the input is not a recording, or fails.
     pub fn open(input: R, filter: &'f TopicFilter) -> Result<Self> {
         let records = Records::open(input)?;
-        let (schemas, channels) = (HashMap::new(), HashMap::new());
-        Ok(Clouds { records, filter, schemas, channels, left_out: 0, cut_short: None })
+        let (schemas, channels, topics) = (HashMap::new(), HashMap::new(), BTreeSet::new());
+        Ok(Clouds { records, filter, schemas, channels, topics, left_out: 0 })
+    }
+
+    /// What is wrong with the recording and its clouds, as far as it has been read.
+    pub fn damage(&self) -> Option<String> {
+        self.records.faults.clone().in_words()
     }
 
     /// Registers a channel if its messages are clouds.
@@ -61,47 +66,55 @@ impl<'f, R: Read> Clouds<'f, R> {
         if is_of_clouds && self.filter.takes(&channel.topic) && !self.channels.contains_key(&channel.id) {
             let track = self.channels.len().min(usize::from(u8::MAX)) as u8;
             self.channels.insert(channel.id, (encoding, track));
+            self.topics.insert(channel.topic.clone());
         }
     }
 
-    /// The cloud in a message; `None` if the message is not a cloud.
-    fn cloud(&mut self, header: &MessageHeader, data: &[u8]) -> Result<Option<Scan>> {
-        let Some(&(encoding, track)) = self.channels.get(&header.channel_id) else { return Ok(None) };
-        let unpacked = unpacked(data, encoding)?;
+    /// The cloud in a message; `None` if the message is not a cloud, or a damaged one.
+    fn cloud(&mut self, header: &MessageHeader, data: &[u8]) -> Option<Scan> {
+        let &(encoding, track) = self.channels.get(&header.channel_id)?;
+        let unpacked = match unpacked(data, encoding) {
+            Ok(unpacked) => unpacked,
+            Err(error) => {
+                self.records.faults.add(damaged_cloud(header, &error));
+                return None;
+            }
+        };
         let message = unpacked.as_ref().map_or(data, |(message, _)| message);
         let taken = message::scan(message, encoding);
         let Some((scan, stamp)) = taken.and_then(|(scan, stamp)| Some((message::points(scan)?, stamp)))
         else {
             self.left_out += 1;
-            return Ok(None);
+            return None;
         };
         let time = Time { source: TimeSource::Recording, nanoseconds: stamp };
-        Ok(Some(Scan::of_parts(scan, Stamp { unit: Unit::Points, track, time: Some(time) })))
+        Some(Scan::of_parts(scan, Stamp { unit: Unit::Points, track, time: Some(time) }))
     }
 }
 
 impl<R: Read> Iterator for Clouds<'_, R> {
-    type Item = Result<Scan>;
+    type Item = Scan;
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
             match self.records.next()? {
-                Ok(Record::Schema { header, .. }) => {
-                    self.schemas.insert(header.id, header.name);
+                Record::Schema { header, .. } => drop(self.schemas.insert(header.id, header.name)),
+                Record::Channel(channel) => self.channel(&channel),
+                Record::Message { header, data } => {
+                    if let Some(cloud) = self.cloud(&header, &data) {
+                        return Some(cloud);
+                    }
                 }
-                Ok(Record::Channel(channel)) => self.channel(&channel),
-                Ok(Record::Message { header, data }) => match self.cloud(&header, &data).transpose() {
-                    Some(cloud) => return Some(cloud),
-                    None => continue,
-                },
-                Ok(_) => {}
-                Err(error) => {
-                    self.cut_short = Some(error.to_string());
-                    return None;
-                }
+                _ => {}
             }
         }
     }
+}
+
+/// The fault of a compressed cloud that cannot be decoded.
+pub(super) fn damaged_cloud(header: &MessageHeader, error: &Error) -> String {
+    let MessageHeader { sequence, channel_id, .. } = header;
+    format!("cloud {sequence} of channel {channel_id} is left out: {error}")
 }
 
 /// The contents of a recording.
@@ -111,8 +124,8 @@ pub struct Contents {
     pub topics: Vec<Topic>,
     /// Number of attachments and metadata records.
     pub attachments: u64,
-    /// The fault at which reading stopped, if the recording has one.
-    pub cut_short: Option<String>,
+    /// What is wrong with the recording and its clouds.
+    pub damage: Option<String>,
 }
 
 /// A channel of a recording.
@@ -134,11 +147,11 @@ pub struct Topic {
     pub cloud_bytes: u64,
 }
 
-/// Lists the contents of a recording, up to its first fault; if `decodes`, every compressed cloud is decoded.
-/// `on_message` is called for each message.
+/// Lists the contents of a recording; if `decodes`, every compressed cloud is decoded. `on_message` is called for each
+/// message.
 ///
 /// # Errors
-/// If the input is not a recording, or fails; if a payload is damaged.
+/// If the input is not a recording, or fails.
 pub fn examine(
     input: impl Read + Send,
     decodes: bool,
@@ -147,13 +160,13 @@ pub fn examine(
 ) -> Result<Contents> {
     let mut records = Records::open(input)?;
     let (mut schemas, mut places) = (HashMap::new(), HashMap::new());
-    let (topics, rest) = (Mutex::new(Vec::<Topic>::new()), Mutex::new((0, None)));
+    let (topics, mut attachments) = (Mutex::new(Vec::<Topic>::new()), 0);
     let locked = || topics.lock().unwrap_or_else(PoisonError::into_inner);
     let jobs = std::iter::from_fn(|| {
         loop {
             match records.next()? {
-                Ok(Record::Schema { header, .. }) => drop(schemas.insert(header.id, header.name)),
-                Ok(Record::Channel(Channel { id, schema_id, topic: name, message_encoding, .. })) => {
+                Record::Schema { header, .. } => drop(schemas.insert(header.id, header.name)),
+                Record::Channel(Channel { id, schema_id, topic: name, message_encoding, .. }) => {
                     let schema = schemas.get(&schema_id).cloned().unwrap_or_default();
                     places.entry(id).or_insert_with(|| {
                         let mut topics = locked();
@@ -161,45 +174,44 @@ pub fn examine(
                         (topics.len() - 1, Encoding::of(&message_encoding))
                     });
                 }
-                Ok(Record::Message { header, data }) => {
+                Record::Message { header, data } => {
                     let Some(&(place, encoding)) = places.get(&header.channel_id) else { continue };
-                    return Some(Ok((place, encoding, data.into_owned())));
+                    return Some(Ok((place, encoding, header, data.into_owned())));
                 }
-                Ok(Record::Attachment { .. } | Record::Metadata(_)) => {
-                    rest.lock().unwrap_or_else(PoisonError::into_inner).0 += 1;
-                }
-                Ok(_) => {}
-                Err(error) => {
-                    rest.lock().unwrap_or_else(PoisonError::into_inner).1 = Some(error.to_string());
-                    return None;
-                }
+                Record::Attachment { .. } | Record::Metadata(_) => attachments += 1,
+                _ => {}
             }
         }
     });
-    let work = |(place, encoding, data): (usize, Option<Encoding>, Vec<u8>)| {
+    let work = |(place, encoding, header, data): (usize, Option<Encoding>, MessageHeader, Vec<u8>)| {
         let bytes = data.len() as u64;
         let is_compressed = encoding.is_some_and(|encoding| message::payload(&data, encoding).is_some());
         let cloud = match encoding.filter(|_| decodes && is_compressed) {
-            Some(encoding) => unpacked(&data, encoding)?.map(|(message, points)| (points, message.len())),
-            None => None,
+            Some(encoding) => unpacked(&data, encoding).map_err(|error| damaged_cloud(&header, &error)),
+            None => Ok(None),
         };
-        Ok((place, bytes, is_compressed, cloud))
+        let counted = cloud.map(|cloud| cloud.map(|(message, points)| (points, message.len())));
+        Ok((place, bytes, is_compressed, counted))
     };
+    let mut faults = Faults::default();
     run_ordered(resolve_threads(threads), jobs.fuse(), work, |(place, bytes, is_compressed, cloud)| {
         let topic = &mut locked()[place];
         topic.messages += 1;
         topic.bytes += bytes;
         topic.clouds += u64::from(is_compressed);
-        if let Some((points, before)) = cloud {
-            topic.points += points as u64;
-            topic.cloud_bytes += before as u64;
+        match cloud {
+            Ok(Some((points, before))) => {
+                topic.points += points as u64;
+                topic.cloud_bytes += before as u64;
+            }
+            Ok(None) => {}
+            Err(fault) => faults.add(fault),
         }
         on_message();
         Ok(())
     })?;
     let topics = topics.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let (attachments, cut_short) = rest.into_inner().unwrap_or_else(PoisonError::into_inner);
-    Ok(Contents { topics, attachments, cut_short })
+    Ok(Contents { topics, attachments, damage: records.faults.and(faults).in_words() })
 }
 
 /// Compares the messages of two recordings in order: topic, sequence number, times and bytes. Returns their number if
@@ -219,10 +231,10 @@ pub fn same_messages(a: impl Read, b: impl Read) -> Result<u64> {
     }
 }
 
-/// The messages of a recording, up to its first fault, each with its topic.
+/// The messages of a recording, each with its topic.
 fn messages<R: Read>(records: Records<R>) -> impl Iterator<Item = (String, MessageHeader, Vec<u8>)> {
     let mut topics = HashMap::new();
-    records.map_while(Result::ok).filter_map(move |record| match record {
+    records.filter_map(move |record| match record {
         Record::Channel(channel) => {
             topics.insert(channel.id, channel.topic);
             None

@@ -43,17 +43,19 @@ impl Encoding {
         }
     }
 
-    /// The encoding of the schema of compressed clouds, and its text.
-    pub fn compressed_schema(self) -> (&'static str, String) {
+    /// The schema of clouds or of compressed clouds: its encoding and its text, without comments.
+    pub fn schema(self, is_compressed: bool) -> (&'static str, String) {
         let rule = "=".repeat(80);
         let (kind, time, sequence) = match self {
             Encoding::Ros1 => ("ros1msg", "time stamp", "uint32 seq\n"),
             Encoding::Cdr => ("ros2msg", "builtin_interfaces/Time stamp", ""),
         };
+        let (data, format) =
+            if is_compressed { ("compressed_data", "string format\n") } else { ("data", "") };
         let mut text = format!(
             "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\n\
-             bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] compressed_data\nbool is_dense\n\
-             string format\n{rule}\nMSG: std_msgs/Header\n{sequence}{time}\nstring frame_id\n{rule}\n\
+             bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] {data}\nbool is_dense\n\
+             {format}{rule}\nMSG: std_msgs/Header\n{sequence}{time}\nstring frame_id\n{rule}\n\
              MSG: sensor_msgs/PointField\nuint8 INT8=1\nuint8 UINT8=2\nuint8 INT16=3\nuint8 UINT16=4\n\
              uint8 INT32=5\nuint8 UINT32=6\nuint8 FLOAT32=7\nuint8 FLOAT64=8\nstring name\nuint32 offset\n\
              uint8 datatype\nuint32 count\n"
@@ -238,11 +240,12 @@ pub fn scan(message: &[u8], encoding: Encoding) -> Option<(ScanFile, i64)> {
     Some((scan?, cloud.stamp))
 }
 
-/// Only the records of a parsed cloud, as points without a message. `None` if their byte order is not the one that
-/// this program uses, or if they have no position.
+/// Only the records of a parsed cloud, as little-endian points without a message. `None` if they have no position.
 pub fn points(scan: ScanFile) -> Option<ScanFile> {
-    let are_points = scan.layout.wrapping == Wrapping::Plain && scan.layout.position.is_some();
-    are_points.then(|| ScanFile { prefix: Vec::new(), suffix: Vec::new(), ..scan })
+    scan.layout.position?;
+    // In memory, the values of big-endian records have the order of little-endian ones.
+    let layout = Layout { wrapping: Wrapping::Plain, ..scan.layout };
+    Some(ScanFile { layout, prefix: Vec::new(), suffix: Vec::new(), ..scan })
 }
 
 /// The compressed message of a cloud, with this payload.

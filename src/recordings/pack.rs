@@ -1,14 +1,14 @@
 //! Recordings with clouds as compressed messages: copied record by record, in both directions.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::io::{Cursor, Read, Seek, Write};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use mcap::records::{Channel, MessageHeader, Record, SchemaHeader};
 
-use super::contents::TopicFilter;
+use super::contents::{TopicFilter, damaged_cloud};
 use super::message::{self, Encoding};
-use super::records::{Output, Records, numbers_in};
+use super::records::{Faults, Output, Records, numbers_in};
 use crate::container::{Stamp, Time, TimeSource, Unit};
 use crate::frame::settings::{EncoderConfig, resolve_threads};
 use crate::frame::{Intensity, Positions};
@@ -39,8 +39,10 @@ pub struct Copied {
     pub points: u64,
     /// Attachments and metadata records.
     pub attachments: u64,
-    /// The fault at which copying stopped, if the recording has one.
-    pub cut_short: Option<String>,
+    /// The topics whose clouds were to be compressed.
+    pub topics: BTreeSet<String>,
+    /// What is wrong with the recording or its compressed clouds; this was left out.
+    pub damage: Option<String>,
 }
 
 /// Copies a recording from its first byte on and compresses its clouds. `on_message` is called for each message that
@@ -49,8 +51,8 @@ pub struct Copied {
 ///
 /// # Errors
 /// If the input is not a recording or is already packed, if the input or the output fails, or if the settings are
-/// invalid or those of paper mode. A recording that is truncated or damaged is copied up to the fault: see
-/// [`Copied::cut_short`].
+/// invalid or those of paper mode. Of a recording that is truncated or damaged, all that can be read is copied: see
+/// [`Copied::damage`].
 pub fn pack<W: Write + Seek>(
     mut input: impl Read + Seek + Send,
     out: W,
@@ -66,14 +68,16 @@ pub fn pack<W: Write + Seek>(
     }
     let used = numbers_in(&mut input)?;
     let (schemas, channels) = (HashMap::new(), HashMap::new());
-    let mut packing = Packing { config, filter, schemas, channels, used, next: u16::MAX };
-    copy(input, out, config.threads, |record| packing.job(record), on_message)
+    let topics = BTreeSet::new();
+    let mut packing = Packing { config, filter, schemas, channels, topics, used, next: u16::MAX };
+    let copied = copy(input, out, config.threads, |record| packing.job(record), on_message)?;
+    Ok(Copied { topics: packing.topics, ..copied })
 }
 
-/// Copies a packed recording and restores its clouds.
+/// Copies a packed recording and restores its clouds. Clouds that are damaged are left out: see [`Copied::damage`].
 ///
 /// # Errors
-/// As for [`pack`]; also if a payload is damaged.
+/// If the input is not a recording, or if the input or the output fails.
 pub fn unpack<W: Write + Seek>(
     input: impl Read + Send,
     out: W,
@@ -102,27 +106,30 @@ impl Job {
     /// Executes the job, on any thread.
     fn done(self) -> Result<Done> {
         match self {
-            Job::Copy(records) => Ok(Done { records, cloud: None, is_kept: false }),
+            Job::Copy(records) => Ok(Done { records, ..Done::default() }),
             Job::Pack { header, data, topic } => topic.pack(header, data),
-            Job::Unpack { header, data, encoding } => unpack_message(header, data, encoding),
+            Job::Unpack { header, data, encoding } => Ok(unpack_message(header, data, encoding)),
         }
     }
 }
 
 /// The result of a job.
+#[derive(Default)]
 struct Done {
     records: Vec<Record<'static>>,
     /// For a cloud: its points, and its bytes before and after.
     cloud: Option<(u64, [u64; 2])>,
     /// Whether it is a message of a topic of clouds that is not a cloud.
     is_kept: bool,
+    /// Why a compressed cloud is left out.
+    fault: Option<String>,
 }
 
 impl Done {
     fn cloud(header: MessageHeader, data: Vec<u8>, points: usize, before: usize) -> Self {
         let bytes = [before, data.len()].map(|bytes| bytes as u64);
         let record = Record::Message { header, data: data.into() };
-        Done { records: vec![record], cloud: Some((points as u64, bytes)), is_kept: false }
+        Done { records: vec![record], cloud: Some((points as u64, bytes)), ..Done::default() }
     }
 }
 
@@ -137,14 +144,8 @@ fn copy<W: Write + Seek>(
     let mut records = Records::open(input)?;
     let mut out = Output::create(out, records.header.clone())?;
     let mut copied = Copied::default();
-    let cut_short = Mutex::new(None);
-    let jobs = std::iter::from_fn(|| match records.next()? {
-        Ok(record) => Some(job(record)),
-        Err(error) => {
-            *cut_short.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
-            None
-        }
-    });
+    let mut faults = Faults::default();
+    let jobs = std::iter::from_fn(|| Some(job(records.next()?)));
     run_ordered(resolve_threads(threads), jobs.fuse(), Job::done, |done| {
         if let Some((points, [before, after])) = done.cloud {
             copied.clouds += 1;
@@ -153,6 +154,9 @@ fn copy<W: Write + Seek>(
             copied.cloud_bytes[1] += after;
         }
         copied.kept += u64::from(done.is_kept);
+        if let Some(fault) = done.fault {
+            faults.add(fault);
+        }
         for record in done.records {
             if matches!(record, Record::Message { .. }) {
                 copied.messages += 1;
@@ -165,7 +169,7 @@ fn copy<W: Write + Seek>(
         Ok(())
     })?;
     out.finish()?;
-    copied.cut_short = cut_short.into_inner().unwrap_or_else(PoisonError::into_inner);
+    copied.damage = records.faults.and(faults).in_words();
     Ok(copied)
 }
 
@@ -177,6 +181,8 @@ struct Packing<'a> {
     schemas: HashMap<u16, String>,
     /// All channels so far; for channels of clouds, what is needed to pack them.
     channels: HashMap<u16, Option<CloudChannel>>,
+    /// The topics of the latter.
+    topics: BTreeSet<String>,
     /// The numbers of all schemas and channels of the recording.
     used: HashSet<u16>,
     /// The highest number that an added schema or channel may get.
@@ -237,10 +243,11 @@ impl Packing<'_> {
             self.channels.insert(channel.id, None);
             return Ok(Job::one(Record::Channel(channel)));
         };
+        self.topics.insert(channel.topic.clone());
         let mut others = Channel { id: self.unused()?, ..channel.clone() };
         others.metadata.insert(CHANNEL_KEY.to_owned(), channel.id.to_string());
         let schema_id = self.unused()?;
-        let schema = compressed_schema(encoding, schema_id);
+        let schema = schema(encoding, true, schema_id);
         let mut packed = Channel { schema_id, ..channel };
         packed.metadata.insert(SCHEMA_KEY.to_owned(), others.schema_id.to_string());
         let of_clouds = CloudChannel { encoding, others, scanners: KeptScanners::default(), topic: None };
@@ -262,9 +269,10 @@ impl Packing<'_> {
     }
 }
 
-/// The schema of compressed clouds, with this number.
-fn compressed_schema(encoding: Encoding, id: u16) -> Record<'static> {
-    let ([_, name], (kind, text)) = (encoding.schemas(), encoding.compressed_schema());
+/// The schema of clouds or of compressed clouds, with this number.
+fn schema(encoding: Encoding, is_compressed: bool, id: u16) -> Record<'static> {
+    let (names, (kind, text)) = (encoding.schemas(), encoding.schema(is_compressed));
+    let name = names[usize::from(is_compressed)];
     let header = SchemaHeader { id, name: name.to_owned(), encoding: kind.to_owned() };
     Record::Schema { header, data: text.into_bytes().into() }
 }
@@ -289,11 +297,8 @@ impl PackedTopic {
         let Some((scan, stamp)) = message::scan(&data, self.encoding) else {
             let header = MessageHeader { channel_id: self.others.id, ..header };
             let message = Record::Message { header, data: data.into() };
-            return Ok(Done {
-                records: vec![Record::Channel(self.others.clone()), message],
-                cloud: None,
-                is_kept: true,
-            });
+            let records = vec![Record::Channel(self.others.clone()), message];
+            return Ok(Done { records, is_kept: true, ..Done::default() });
         };
         let points = scan.records;
         let time = Time { source: TimeSource::Recording, nanoseconds: stamp };
@@ -310,6 +315,8 @@ impl PackedTopic {
 struct Unpacking {
     /// Schemas of compressed clouds, which are written only if a channel that was not packed refers to them.
     compressed: HashMap<u16, Record<'static>>,
+    /// The names of all other schemas.
+    schemas: HashMap<u16, String>,
     /// The channels of compressed clouds.
     packed: HashMap<u16, Encoding>,
     /// Channels for messages that are not clouds, and the channels of the topics to which they belong.
@@ -321,15 +328,16 @@ impl Unpacking {
         match record {
             Record::Schema { header, data } => {
                 let is_compressed = [Encoding::Cdr, Encoding::Ros1].into_iter().any(|encoding| {
-                    let ([_, name], (_, text)) = (encoding.schemas(), encoding.compressed_schema());
+                    let ([_, name], (_, text)) = (encoding.schemas(), encoding.schema(true));
                     header.name == name && *data == *text.as_bytes()
                 });
-                let id = header.id;
+                let (id, name) = (header.id, header.name.clone());
                 let schema = Record::Schema { header, data };
                 if is_compressed {
                     self.compressed.insert(id, schema);
                     return Ok(Job::Copy(Vec::new()));
                 }
+                self.schemas.insert(id, name);
                 Ok(Job::one(schema))
             }
             Record::Channel(channel) => self.channel(channel),
@@ -353,25 +361,34 @@ impl Unpacking {
             self.others.insert(channel.id, number(of)?);
             return Ok(Job::Copy(Vec::new()));
         }
-        if let Some(schema) = channel.metadata.remove(SCHEMA_KEY) {
-            channel.schema_id = number(schema)?;
+        if let Some(of_clouds) = channel.metadata.remove(SCHEMA_KEY) {
+            let of_clouds = number(of_clouds)?;
             let encoding = Encoding::of(&channel.message_encoding);
             let encoding =
                 encoding.ok_or_else(|| Error::unsupported("a packed channel of another encoding"))?;
             self.packed.insert(channel.id, encoding);
+            // Other programs drop schemas that no channel uses, and number schemas anew.
+            if self.schemas.get(&of_clouds).is_some_and(|name| name == encoding.schemas()[0]) {
+                channel.schema_id = of_clouds;
+            } else {
+                let schema = schema(encoding, false, channel.schema_id);
+                return Ok(Job::Copy(vec![schema, Record::Channel(channel)]));
+            }
         }
         let schema = self.compressed.remove(&channel.schema_id);
         Ok(Job::Copy(schema.into_iter().chain([Record::Channel(channel)]).collect()))
     }
 }
 
-fn unpack_message(header: MessageHeader, data: Vec<u8>, encoding: Encoding) -> Result<Done> {
-    Ok(match unpacked(&data, encoding)? {
-        Some((message, points)) => Done::cloud(header, message, points, data.len()),
-        None => {
-            Done { records: vec![Record::Message { header, data: data.into() }], cloud: None, is_kept: true }
+fn unpack_message(header: MessageHeader, data: Vec<u8>, encoding: Encoding) -> Done {
+    match unpacked(&data, encoding) {
+        Ok(Some((message, points))) => Done::cloud(header, message, points, data.len()),
+        Ok(None) => {
+            let records = vec![Record::Message { header, data: data.into() }];
+            Done { records, is_kept: true, ..Done::default() }
         }
-    })
+        Err(error) => Done { fault: Some(damaged_cloud(&header, &error)), ..Done::default() },
+    }
 }
 
 /// The message that a compressed message decodes to, and its number of points; `None` if it is not compressed.

@@ -1,9 +1,12 @@
 //! The records of an MCAP recording: read one after another, and written with chunks and indexes.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
+use std::fmt::Display;
 use std::io::{BufReader, Cursor, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 
+use byteorder::{ByteOrder, LittleEndian};
+use crc32fast::Hasher;
 use mcap::records::{Channel, Header, Record, SchemaHeader, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
@@ -14,14 +17,59 @@ use crate::ground::varint::saturated;
 /// The first number of records that the format leaves to applications.
 const FIRST_PRIVATE: u8 = 0x80;
 
-/// The records of a recording up to the end of its data, taken out of their chunks.
+/// The faults of a recording that were found while it was read.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Faults {
+    /// The first one, in words.
+    first: Option<String>,
+    /// Number of those after it.
+    others: u64,
+}
+
+impl Faults {
+    /// Adds a fault.
+    pub fn add(&mut self, fault: impl Display) {
+        match self.first {
+            None => self.first = Some(fault.to_string()),
+            Some(_) => self.others += 1,
+        }
+    }
+
+    /// These faults and others.
+    pub fn and(mut self, others: Faults) -> Self {
+        if let Some(first) = others.first {
+            self.add(first);
+            self.others += others.others;
+        }
+        self
+    }
+
+    /// All of them in words, if there are any.
+    pub fn in_words(self) -> Option<String> {
+        let first = self.first?;
+        Some(match self.others {
+            0 => first,
+            1 => format!("{first}; and another fault"),
+            others => format!("{first}; and {others} other faults"),
+        })
+    }
+}
+
+/// The records of a recording up to the end of its data, taken out of their chunks. Records that cannot be read, or
+/// that refer to others which do not exist, are left out, and reading goes on behind them: see
+/// [`faults`](Self::faults).
 pub struct Records<R> {
-    file: BufReader<R>,
+    file: Summed<BufReader<R>>,
     /// The chunk that is being read.
     chunk: Option<Chunk>,
     /// The header of the recording.
     pub header: Header,
+    /// The schemas and channels so far, by their numbers.
+    schemas: HashMap<u16, (SchemaHeader, Vec<u8>)>,
+    channels: HashMap<u16, Channel>,
     has_ended: bool,
+    /// What is wrong with the recording, as far as it has been read: all of it once there are no more records.
+    pub faults: Faults,
 }
 
 impl<R: Read> Records<R> {
@@ -30,53 +78,153 @@ impl<R: Read> Records<R> {
     /// # Errors
     /// If the input is not a recording, or fails.
     pub fn open(input: R) -> Result<Self> {
-        let mut file = BufReader::new(input);
+        let mut file = Summed { input: BufReader::new(input), sum: Hasher::new() };
         let mut magic = [0; mcap::MAGIC.len()];
         read_whole(&mut file, &mut magic)?;
         if magic != mcap::MAGIC {
             return Err(failed(McapError::BadMagic));
         }
-        let header = Header { profile: String::new(), library: String::new() };
-        let mut records = Records { file, chunk: None, header, has_ended: false };
-        match records.next() {
-            Some(Ok(Record::Header(header))) => Ok(Records { header, ..records }),
-            Some(Err(error)) => Err(error),
-            _ => Err(Error::Usage("no MCAP recording, or an empty one".to_owned())),
-        }
+        let Record::Header(header) = parsed(&read_record(&mut file)?)? else {
+            return Err(Error::Usage("no MCAP recording, as it begins without a header".to_owned()));
+        };
+        let (schemas, channels) = (HashMap::new(), HashMap::new());
+        let faults = Faults::default();
+        Ok(Records { file, chunk: None, header, schemas, channels, has_ended: false, faults })
     }
 
-    /// The next record: of the current chunk, or if there is none, of the file.
+    /// The next record that can be read: of the current chunk, or if there is none, of the file.
+    ///
+    /// # Errors
+    /// If the recording cannot be read on.
     fn read(&mut self) -> Result<Option<Record<'static>>> {
         loop {
             if let Some(chunk) = &mut self.chunk {
-                match chunk.next()? {
-                    Some(record) => return Ok(Some(record)),
+                match chunk.next() {
+                    Some(Ok(record)) => return Ok(Some(record)),
+                    Some(Err(fault)) => self.faults.add(fault),
                     None => self.chunk = None,
                 }
+                continue;
             }
-            let (opcode, length, contents) = read_record(&mut self.file)?;
-            match opcode {
-                op::DATA_END => return Ok(None),
-                op::MESSAGE_INDEX => {}
+            let sum = self.file.sum.clone().finalize();
+            let record = read_record(&mut self.file)?;
+            let read = match record.opcode {
+                op::MESSAGE_INDEX => continue,
+                op::DATA_END => return self.end(&record, sum).map(|()| None),
                 // What is left of a chunk that is cut short contains whole records.
-                op::CHUNK => self.chunk = Some(Chunk::new(length, contents)?),
-                _ if (contents.len() as u64) < length => return Err(failed(McapError::UnexpectedEof)),
-                _ => return parsed(opcode, &contents).map(Some),
+                op::CHUNK => Chunk::new(&record).map(|chunk| self.chunk = Some(chunk)).map(|()| None),
+                _ => parsed(&record).map(Some),
+            };
+            match read {
+                Ok(Some(record)) => return Ok(Some(record)),
+                Ok(None) => {}
+                Err(fault) => self.faults.add(fault),
             }
+        }
+    }
+
+    /// Reads from the end of the data to that of the file. `sum` is the checksum of all before.
+    ///
+    /// # Errors
+    /// If the recording does not end as it should.
+    fn end(&mut self, data_end: &RawRecord, sum: u32) -> Result<()> {
+        match parsed(data_end)? {
+            Record::DataEnd(end) if ![0, sum].contains(&end.data_section_crc) => {
+                self.faults.add("the checksum of its data is wrong");
+            }
+            _ => {}
+        }
+        self.file.sum = Hasher::new();
+        loop {
+            let mut sum = self.file.sum.clone();
+            let record = read_record(&mut self.file)?;
+            match record.opcode {
+                op::FOOTER => {
+                    let Record::Footer(footer) = parsed(&record)? else { continue };
+                    sum.update(&record.before_checksum());
+                    if ![0, sum.finalize()].contains(&footer.summary_crc) {
+                        self.faults.add("the checksum of its summary is wrong");
+                    }
+                    break;
+                }
+                op::MESSAGE | op::CHUNK | op::ATTACHMENT | op::METADATA => {
+                    return Err(Error::Usage("records after the end of its data were not taken".to_owned()));
+                }
+                _ => {}
+            }
+        }
+        let mut magic = [0; mcap::MAGIC.len()];
+        read_whole(&mut self.file, &mut magic)?;
+        if magic != mcap::MAGIC || self.file.read(&mut [0])? > 0 {
+            return Err(Error::Usage("what follows its end was not taken".to_owned()));
+        }
+        Ok(())
+    }
+
+    /// Checks that what a record refers to exists, and that it is the only one of its number.
+    fn check(&mut self, record: &Record) -> std::result::Result<(), String> {
+        match record {
+            Record::Schema { header: SchemaHeader { id: 0, .. }, .. } => {
+                Err("a schema has the number 0".to_owned())
+            }
+            Record::Schema { header, data } => {
+                let (known, text) =
+                    self.schemas.entry(header.id).or_insert_with(|| (header.clone(), data.to_vec()));
+                let is_same = known == header && text[..] == data[..];
+                is_same.then_some(()).ok_or_else(|| format!("there are two schemas of number {}", header.id))
+            }
+            Record::Channel(Channel { id, schema_id, .. })
+                if *schema_id != 0 && !self.schemas.contains_key(schema_id) =>
+            {
+                Err(format!("channel {id} has schema {schema_id}, which does not exist"))
+            }
+            Record::Channel(channel) => {
+                let known = self.channels.entry(channel.id).or_insert_with(|| channel.clone());
+                let is_same = known == channel;
+                is_same
+                    .then_some(())
+                    .ok_or_else(|| format!("there are two channels of number {}", channel.id))
+            }
+            Record::Message { header, .. } if !self.channels.contains_key(&header.channel_id) => {
+                Err(format!("a message has channel {}, which does not exist", header.channel_id))
+            }
+            _ => Ok(()),
         }
     }
 }
 
 impl<R: Read> Iterator for Records<R> {
-    type Item = Result<Record<'static>>;
+    type Item = Record<'static>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        if self.has_ended {
-            return None;
+        while !self.has_ended {
+            match self.read() {
+                Ok(Some(record)) => match self.check(&record) {
+                    Ok(()) => return Some(record),
+                    Err(fault) => self.faults.add(fault),
+                },
+                Ok(None) => self.has_ended = true,
+                Err(fault) => {
+                    self.faults.add(fault);
+                    self.has_ended = true;
+                }
+            }
         }
-        let record = self.read().transpose();
-        self.has_ended = !matches!(record, Some(Ok(_)));
-        record
+        None
+    }
+}
+
+/// An input with the checksum of what has been read of it.
+struct Summed<R> {
+    input: R,
+    sum: Hasher,
+}
+
+impl<R: Read> Read for Summed<R> {
+    fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.input.read(out)?;
+        self.sum.update(&out[..read]);
+        Ok(read)
     }
 }
 
@@ -84,65 +232,120 @@ impl<R: Read> Iterator for Records<R> {
 struct Chunk {
     bytes: Cursor<Vec<u8>>,
     reader: LinearReader,
+    /// What is wrong with the chunk as a whole.
+    fault: Option<Error>,
+    has_ended: bool,
 }
 
 /// The length of a chunk's fields before its records, if these are not compressed.
 const CHUNK_FIELDS: usize = 40;
-/// Among these, the length of the name of the compression, and the length of the records.
+/// Among these, the length of the records before compression, their checksum, the length of the name of the
+/// compression, and the length of the records.
+const WHOLE_LENGTH: Range<usize> = 16..24;
+const CHECKSUM: Range<usize> = 24..28;
 const NAME_LENGTH: Range<usize> = 28..32;
 const RECORDS_LENGTH: Range<usize> = 32..40;
 
 impl Chunk {
-    /// Reads a chunk. `length` is that of its record, of whose contents the end may be missing.
+    /// Reads a chunk, of which the end may be missing.
     ///
     /// Records that are not compressed are read as those of a file: the library's reader of such chunks (as of `mcap`
     /// 0.26) does not check that a record is no longer than what is left of its chunk.
-    fn new(length: u64, contents: Vec<u8>) -> Result<Self> {
-        check_lengths(op::CHUNK, &contents)?;
+    fn new(record: &RawRecord) -> Result<Self> {
+        check_lengths(record)?;
         let options = LinearReaderOptions::default()
             .with_skip_start_magic(true)
             .with_skip_end_magic(true)
             .with_emit_chunks(true)
             .with_record_length_limit(Limits::default().file_bytes as usize);
-        Ok(match contents.split_first_chunk::<CHUNK_FIELDS>() {
+        Ok(match record.contents.split_first_chunk::<CHUNK_FIELDS>() {
             Some((fields, records)) if fields[NAME_LENGTH] == [0; 4] => {
-                let length = u64::from_le_bytes(fields[RECORDS_LENGTH].try_into().expect("eight bytes"));
+                let number =
+                    |range: Range<usize>| LittleEndian::read_uint(&fields[range.clone()], range.len());
+                let length = number(RECORDS_LENGTH);
+                let is_whole = number(WHOLE_LENGTH) == length && length <= records.len() as u64;
                 let records = &records[..records.len().min(saturated(length))];
-                Chunk {
-                    bytes: Cursor::new(records.to_vec()),
-                    reader: LinearReader::new_with_options(options),
-                }
+                let (saved, calculated) = (number(CHECKSUM) as u32, crc32fast::hash(records));
+                let fault = match is_whole {
+                    false => Some(Error::Usage("the length of a chunk is wrong".to_owned())),
+                    true if [0, calculated].contains(&saved) => None,
+                    true => Some(failed(McapError::BadChunkCrc { saved, calculated })),
+                };
+                let reader = LinearReader::new_with_options(options);
+                Chunk { bytes: Cursor::new(records.to_vec()), reader, fault, has_ended: false }
             }
             _ => {
-                let bytes = [&[op::CHUNK], &length.to_le_bytes()[..], &contents].concat();
-                let reader = LinearReader::new_with_options(options.with_emit_chunks(false));
-                Chunk { bytes: Cursor::new(bytes), reader }
+                let options = options.with_emit_chunks(false).with_validate_chunk_crcs(true);
+                let reader = LinearReader::new_with_options(options);
+                Chunk { bytes: Cursor::new(record.bytes()), reader, fault: None, has_ended: false }
             }
         })
     }
 
-    /// The next record.
-    fn next(&mut self) -> Result<Option<Record<'static>>> {
+    /// The next event of the reader, filled with bytes as it asks for them.
+    fn event(&mut self) -> Option<Result<Record<'static>>> {
         while let Some(event) = self.reader.next_event() {
-            match event.map_err(failed)? {
-                LinearReadEvent::ReadRequest(wanted) => {
-                    let read = self.bytes.read(self.reader.insert(wanted))?;
+            match event {
+                Ok(LinearReadEvent::ReadRequest(wanted)) => {
+                    let read = self.bytes.read(self.reader.insert(wanted)).unwrap_or(0);
                     self.reader.notify_read(read);
                 }
-                LinearReadEvent::Record { opcode: op::CHUNK | op::DATA_END, .. } => {
-                    return Err(Error::Usage(
-                        "the recording: a chunk or the end of the data within a chunk".to_owned(),
-                    ));
+                Ok(LinearReadEvent::Record { opcode: op::CHUNK | op::DATA_END, .. }) => {
+                    let fault = "a chunk or the end of the data within a chunk";
+                    return Some(Err(Error::Usage(fault.to_owned())));
                 }
-                LinearReadEvent::Record { opcode, data } => return parsed(opcode, data).map(Some),
+                Ok(LinearReadEvent::Record { opcode, data }) => {
+                    return Some(parsed(&RawRecord::of(opcode, data.to_vec())));
+                }
+                Err(error) => {
+                    self.has_ended = true;
+                    return Some(Err(failed(error)));
+                }
             }
         }
-        Ok(None)
+        None
     }
 }
 
-/// Reads the opcode of a record, its length, and as much of its contents as there is.
-fn read_record(input: &mut impl Read) -> Result<(u8, u64, Vec<u8>)> {
+impl Iterator for Chunk {
+    type Item = Result<Record<'static>>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if let Some(fault) = self.fault.take() {
+            return Some(Err(fault));
+        }
+        if self.has_ended { None } else { self.event() }
+    }
+}
+
+/// A record as it is stored.
+struct RawRecord {
+    opcode: u8,
+    /// The length that it says it has.
+    length: u64,
+    /// As much of its contents as there is.
+    contents: Vec<u8>,
+}
+
+impl RawRecord {
+    fn of(opcode: u8, contents: Vec<u8>) -> Self {
+        RawRecord { opcode, length: contents.len() as u64, contents }
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        [&[self.opcode], &self.length.to_le_bytes()[..], &self.contents].concat()
+    }
+
+    /// Of the footer, what its checksum covers besides the summary.
+    fn before_checksum(&self) -> Vec<u8> {
+        let mut bytes = self.bytes();
+        bytes.truncate(bytes.len().saturating_sub(4));
+        bytes
+    }
+}
+
+/// Reads the next record. Only that of a chunk may be cut short.
+fn read_record(input: &mut impl Read) -> Result<RawRecord> {
     let mut opcode = [0];
     let mut length = [0; 8];
     read_whole(input, &mut opcode)?;
@@ -153,13 +356,16 @@ fn read_record(input: &mut impl Read) -> Result<(u8, u64, Vec<u8>)> {
     }
     let mut contents = Vec::new();
     input.by_ref().take(length).read_to_end(&mut contents)?;
-    Ok((opcode, length, contents))
+    if opcode != op::CHUNK && (contents.len() as u64) < length {
+        return Err(failed(McapError::UnexpectedEof));
+    }
+    Ok(RawRecord { opcode, length, contents })
 }
 
 /// A record from its contents.
-fn parsed(opcode: u8, contents: &[u8]) -> Result<Record<'static>> {
-    check_lengths(opcode, contents)?;
-    mcap::parse_record(opcode, contents).map(Record::into_owned).map_err(failed)
+fn parsed(record: &RawRecord) -> Result<Record<'static>> {
+    check_lengths(record)?;
+    mcap::parse_record(record.opcode, &record.contents).map(Record::into_owned).map_err(failed)
 }
 
 /// A field of a record.
@@ -176,9 +382,10 @@ enum Field {
 
 /// Checks that no field of a record is longer than what is left of it: the library (as of `mcap` 0.26) allocates
 /// memory for texts before it reads them, and expects that attachments end in a checksum.
-fn check_lengths(opcode: u8, contents: &[u8]) -> Result<()> {
+fn check_lengths(record: &RawRecord) -> Result<()> {
     use Field::{Data, Fixed, Text, Texts};
-    let fields: &[Field] = match opcode {
+    let RawRecord { opcode, contents, .. } = record;
+    let fields: &[Field] = match *opcode {
         op::HEADER => &[Text, Text],
         op::SCHEMA => &[Fixed(2), Text, Text, Text],
         op::CHANNEL => &[Fixed(4), Text, Text, Texts],
@@ -190,10 +397,9 @@ fn check_lengths(opcode: u8, contents: &[u8]) -> Result<()> {
         op::METADATA_INDEX => &[Fixed(16), Text],
         _ => &[],
     };
-    let too_short = || {
-        Error::Usage(format!("the recording: a field of a record of kind {opcode} is longer than the record"))
-    };
-    let mut rest = contents;
+    let too_short =
+        || Error::Usage(format!("a field of a record of kind {opcode} is longer than the record"));
+    let mut rest = &contents[..];
     for field in fields {
         let length = match field {
             Fixed(length) => Some(*length),
@@ -235,7 +441,7 @@ fn read_whole(input: &mut impl Read, bytes: &mut [u8]) -> Result<()> {
 fn failed(error: McapError) -> Error {
     match error {
         McapError::Io(error) => error.into(),
-        other => Error::Usage(format!("the recording: {other}")),
+        other => Error::Usage(other.to_string()),
     }
 }
 
@@ -290,7 +496,7 @@ impl<W: Write + Seek> Output<W> {
 }
 
 /// The numbers of all schemas and channels of a recording, wherever the input is positioned; afterwards it is at its
-/// first byte. If the recording is damaged, the numbers up to the fault.
+/// first byte. If the recording is damaged, those of the records that can be read.
 ///
 /// # Errors
 /// If the input is not a recording, or fails.
@@ -301,7 +507,7 @@ pub fn numbers_in(input: &mut (impl Read + Seek)) -> Result<HashSet<u16>> {
         return Ok(numbers);
     }
     let records = Records::open(&mut *input)?;
-    let numbers = records.map_while(Result::ok).filter_map(|record| match record {
+    let numbers = records.filter_map(|record| match record {
         Record::Schema { header, .. } => Some(header.id),
         Record::Channel(channel) => Some(channel.id),
         _ => None,
@@ -321,7 +527,7 @@ fn numbers_of_summary(input: &mut (impl Read + Seek)) -> Result<Option<HashSet<u
     let (mut schemas, mut channels, mut expected) = (HashSet::new(), HashSet::new(), None);
     let mut rest = &summary[..];
     while !rest.is_empty() {
-        let record = read_record(&mut rest).and_then(|(opcode, _, contents)| parsed(opcode, &contents));
+        let record = read_record(&mut rest).and_then(|record| parsed(&record));
         match record {
             Ok(Record::Schema { header, .. }) => drop(schemas.insert(header.id)),
             Ok(Record::Channel(channel)) => drop(channels.insert(channel.id)),
@@ -351,7 +557,8 @@ fn summary(input: &mut (impl Read + Seek)) -> Result<Option<Vec<u8>>> {
     if footer[0] != op::FOOTER || footer[FOOTER..] != *mcap::MAGIC {
         return Ok(None);
     }
-    let Ok(Record::Footer(fields)) = parsed(op::FOOTER, &footer[9..FOOTER]) else { return Ok(None) };
+    let record = RawRecord::of(op::FOOTER, footer[9..FOOTER].to_vec());
+    let Ok(Record::Footer(fields)) = parsed(&record) else { return Ok(None) };
     let length = end.checked_sub(fields.summary_start);
     let Some(length) = length.filter(|length| *length <= Limits::default().file_bytes) else {
         return Ok(None);
@@ -359,10 +566,9 @@ fn summary(input: &mut (impl Read + Seek)) -> Result<Option<Vec<u8>>> {
     input.seek(SeekFrom::Start(fields.summary_start))?;
     let mut summary = Vec::new();
     input.take(length).read_to_end(&mut summary)?;
-    // The checksum is of the summary and of the footer up to itself; 0 stands for none.
-    let mut crc = flate2::Crc::new();
-    crc.update(&summary);
-    crc.update(&footer[..FOOTER - 4]);
-    let is_intact = fields.summary_start > 0 && [0, crc.sum()].contains(&fields.summary_crc);
+    let mut sum = Hasher::new();
+    sum.update(&summary);
+    sum.update(&record.before_checksum());
+    let is_intact = fields.summary_start > 0 && [0, sum.finalize()].contains(&fields.summary_crc);
     Ok(is_intact.then_some(summary))
 }
