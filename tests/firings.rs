@@ -487,7 +487,8 @@ fn rounded_scans_that_are_cut_and_mixed_up_come_back() {
             round_trip(&files(&[scan]), &EncoderConfig::default());
         }
         let (_, largest) = keeps_the_bound(&files(&scans), &bounded(20_000), 20_000);
-        assert!(largest > 0.0);
+        // Decimetres take fewer bytes exactly than within two centimetres.
+        assert!(largest > 0.0 || places == 1);
         round_trip(&files(&scans), &at_level(1));
     }
 }

@@ -226,7 +226,7 @@ fn other_settings_are_refused() {
     let partial = Partial::complete(&FILES, &exact());
     for (config, what) in [
         (EncoderConfig { gop: 3, ..exact() }, "gop: 2, now 3"),
-        (modes()[1].clone(), "positions: Exact, now Bounded"),
+        (modes()[1].clone(), "largest error: none, now "),
         (
             EncoderConfig { order: lidarpc::internals::frame::settings::FrameOrder::Time, ..exact() },
             "order: Ratio, now Time",

@@ -31,17 +31,15 @@ impl Default for PointModel {
 }
 
 impl PointModel {
-    /// Codes positions one after the other. Most of them are on `grid`; `None` means the grid of the file.
+    /// Codes positions one after the other. Most of them are on `grid`; `None` means one that is
+    /// found and coded first.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
         grid: Option<Coordinates>,
         positions: &mut [[f32; 3]],
     ) {
-        let grid = grid.unwrap_or_else(|| {
-            let grid = Coordinates::of(positions.iter().flatten());
-            Coordinates::from_code(coder.code_plain(grid.to_code(), 1))
-        });
+        let grid = grid.unwrap_or_else(|| code_grid(coder, Coordinates::of_most(positions)));
         let mut turns = TurnTracker::default();
         for index in 0..positions.len() {
             if coder.is_exhausted() {
@@ -96,6 +94,14 @@ impl PointModel {
         self.cone.learn(&[farther, 0.0, 0.0, 0.0], rise, 1.0);
         position
     }
+}
+
+/// Codes a grid by its numbers; those of none stand for `Float32`.
+fn code_grid<C: BitCoder>(coder: &mut C, grid: Coordinates) -> Coordinates {
+    let (kind, step) = grid.to_numbers();
+    let kind = coder.code_plain(kind.into(), 2) as u32;
+    let step = if kind < 2 { 0 } else { coder.code_plain(step.into(), 30) as u32 };
+    Coordinates::from_numbers(kind, step).unwrap_or(Coordinates::Float32)
 }
 
 /// In metres; a larger step carries no information about a beam's cone.

@@ -45,6 +45,71 @@ impl Coordinates {
         grids.find(holds).filter(|_| !values.is_empty()).unwrap_or(Coordinates::Float32)
     }
 
+    /// The grid on which most of some positions (metres) lie and take the fewest bits: the widest one.
+    pub fn of_most(positions: &[[f32; 3]]) -> Self {
+        /// Number of positions that are compared, at most.
+        const SAMPLE: usize = 500;
+        /// Bits of a coordinate that is not on the grid, beside one whose residual is a metre: such a one takes 32 bits,
+        /// and most residuals are a few millimetres.
+        const RAW: f64 = 40.0;
+        /// Finer steps than this, in metres, near zero, say nothing about the grid.
+        const FINEST: f64 = 1e-9;
+        /// Steps of lattices in nanometres, which programs round to; 2^-8 and 2^-9 m among them.
+        const STEPS: [u64; 14] = [
+            100_000_000,
+            50_000_000,
+            20_000_000,
+            10_000_000,
+            5_000_000,
+            4_000_000,
+            2_000_000,
+            500_000,
+            250_000,
+            200_000,
+            100_000,
+            10_000,
+            3_906_250,
+            1_953_125,
+        ];
+        let sample = positions.iter().step_by(positions.len() / SAMPLE + 1).flatten();
+        let values: Vec<f32> = sample.copied().filter(|value| value.is_finite()).collect();
+        let bits = |grid: &Coordinates| {
+            let of_value = |&value: &f32| match grid.unit_in_file(value) {
+                Some(unit) => {
+                    let next = grid.value(unit.wrapping_add(1), 0.0);
+                    -libm::log2((f64::from(next) - f64::from(value)).max(FINEST))
+                }
+                None => RAW,
+            };
+            values.iter().map(of_value).sum::<f64>()
+        };
+        let lattices = STEPS.map(|step_nm| Coordinates::Lattice { step_nm });
+        let grids = [Coordinates::Float32, Coordinates::Millimetre].into_iter().chain(lattices);
+        let grids = grids.chain((4..=8).map(Coordinates::Digits)).map(|grid| (bits(&grid), grid));
+        grids.min_by(|(a, _), (b, _)| a.total_cmp(b)).map_or(Coordinates::Float32, |(_, grid)| grid)
+    }
+
+    /// The numbers of a grid in a stream: its kind and its step. FORMAT.md 3.4.
+    pub fn to_numbers(self) -> (u32, u32) {
+        match self {
+            Coordinates::Float32 => (0, 0),
+            Coordinates::Millimetre => (1, 0),
+            Coordinates::Lattice { step_nm } => (2, step_nm as u32),
+            Coordinates::Digits(digits) => (3, digits.into()),
+        }
+    }
+
+    /// The inverse of [`to_numbers`](Self::to_numbers); `None` if the numbers do not fit together.
+    pub fn from_numbers(kind: u32, step: u32) -> Option<Self> {
+        match (kind, step) {
+            (0, 0) => Some(Coordinates::Float32),
+            (1, 0) => Some(Coordinates::Millimetre),
+            (2, 1..=LARGEST_STEP) => Some(Coordinates::Lattice { step_nm: step.into() }),
+            (3, 1..=9) => Some(Coordinates::Digits(step as u8)),
+            _ => None,
+        }
+    }
+
     /// The number of a file's grid in a stream.
     pub fn to_code(self) -> u64 {
         u64::from(self != Coordinates::Millimetre)
@@ -155,6 +220,9 @@ impl Coordinates {
         }
     }
 }
+
+/// The largest step of a lattice in a stream, in nanometres.
+const LARGEST_STEP: u32 = 1_000_000_000;
 
 /// Added to decimal exponents, so that those of all float32 values are positive.
 const DECIMAL_EXPONENTS: i64 = 46;
@@ -317,6 +385,33 @@ mod tests {
         for unit in [i64::MIN, i64::MAX, -1, 1] {
             assert!(!Coordinates::Digits(8).value(unit, 0.0).is_nan());
         }
+    }
+
+    #[test]
+    fn most_points_tell_their_grid() {
+        let lattice = |step_nm: u64| Coordinates::Lattice { step_nm };
+        let grids = [lattice(100_000_000), lattice(10_000_000), lattice(5_000_000), lattice(3_906_250)];
+        let others = [Coordinates::Millimetre, Coordinates::Digits(5), Coordinates::Float32];
+        for grid in grids.into_iter().chain(others) {
+            let on_grid = |metres: f64| grid.nearest(metres);
+            let angle = |i: i32| f64::from(i) * 0.618_034;
+            let far = |i: i32| 3.0 + f64::from(i % 700) * 0.071_3;
+            let point =
+                |i: i32| [far(i) * angle(i).cos(), far(i) * angle(i).sin(), far(i) * 0.05 - 1.7].map(on_grid);
+            let mut points: Vec<_> = (0..5000).map(point).collect();
+            assert_eq!(Coordinates::of_most(&points), grid);
+            // Nearly all suffice.
+            points.iter_mut().step_by(50).for_each(|point| point[0] = f32::NAN);
+            points.iter_mut().skip(1).step_by(50).for_each(|point| point[0] = 1.234_567_8);
+            assert_eq!(Coordinates::of_most(&points), grid);
+            let (kind, step) = grid.to_numbers();
+            assert_eq!(Coordinates::from_numbers(kind, step), Some(grid));
+        }
+        // Far from the origin float32 itself is a coarser grid than millimetres.
+        let map: Vec<_> = (0..3000).map(|i| [5e5 + 0.37 * i as f32, 4e6, 123.0]).collect();
+        assert_eq!(Coordinates::of_most(&map), Coordinates::Float32);
+        assert_eq!(Coordinates::of_most(&[]), Coordinates::Float32);
+        assert_eq!(Coordinates::from_numbers(2, 0), None);
     }
 
     #[test]

@@ -6,7 +6,7 @@ from struct import pack, unpack
 from entropy import AdaptiveBit, IntegerModel, adaptive, integers, unzigzag, wrap
 from errors import Refused
 from models import clamp, f32, to_int
-from scanner import DIGITS, FLOAT32, LATTICE, MILLIMETRE, Grid
+from scanner import Grid
 from trigonometry import cos, glibc_cosf, glibc_sinf, old_cosf, old_sinf, sin
 
 TOGETHER, VLP_16, ONE_FIRING, TWO_FIRINGS = range(4)
@@ -90,11 +90,11 @@ class Scanner:
         rows = reader.varint()
         if not 1 <= self.ticks <= 360000 or not 1 <= self.range_step_um <= 1000000 or not 1 <= rows <= 1024:
             raise Refused("a scanner with impossible numbers")
-        if grid > 3 or step > 10**9 or grid < 2 and step != 0 or grid == 2 and step < 1 or grid == 3 and not 1 <= step <= 9:
-            raise Refused("an impossible grid of coordinates")
         if max(map(abs, origin)) > 10**6:
             raise Refused("beams that start too far away")
-        self.grid = Grid((FLOAT32, MILLIMETRE, LATTICE, DIGITS)[grid], (None, None, step * 1e-9, step)[grid])
+        self.grid = Grid.of_numbers(grid, step)
+        if self.grid is None:
+            raise Refused("an impossible grid of coordinates")
         self.along_um, self.up_um = origin
         self.along, self.up = (um * 1e-6 for um in origin)
         self.range_step = self.range_step_um * 1e-6

@@ -59,6 +59,13 @@ class Grid:
         self.kind = kind
         self.step = step
 
+    @classmethod
+    def of_numbers(cls, kind, step):
+        """The grid with these numbers, or None if they do not fit together."""
+        if (kind < 2 and step == 0) or (kind == 2 and 1 <= step <= 10**9) or (kind == 3 and 1 <= step <= 9):
+            return cls((FLOAT32, MILLIMETRE, LATTICE, DIGITS)[kind], (None, None, step * 1e-9, step)[kind])
+        return None
+
     def unit_of(self, metres):
         if isnan(metres):
             return 0

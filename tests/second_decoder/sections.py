@@ -28,7 +28,7 @@ from models import (
     squash,
 )
 from layout import F32
-from scanner import MILLIMETRE, Grid, bits_of_float, float_of_bits, from_ordered, ordered
+from scanner import FLOAT32, MILLIMETRE, Grid, bits_of_float, float_of_bits, from_ordered, ordered
 from values import Scale as RoughScale
 
 
@@ -207,7 +207,8 @@ class Points:
 
     def code(self, bits, n, grid):
         if grid is None:
-            grid = Grid(bits.plain(1))
+            kind = bits.plain(2)
+            grid = Grid.of_numbers(kind, bits.plain(30) if kind >= 2 else 0) or Grid(FLOAT32)
         points = []
         done = []
         turns = Turns()

@@ -1,5 +1,6 @@
 //! Everything that determines a stream besides the contents and order of the files, as text for comparison.
 
+use crate::frame::Positions;
 use crate::frame::settings::EncoderConfig;
 
 /// Names and values, in the order in which they are compared.
@@ -33,7 +34,7 @@ pub fn list(config: &EncoderConfig, frames: usize) -> Settings {
         ("lidarpc", env!("CARGO_PKG_VERSION").to_owned()),
         ("frames", frames.to_string()),
         ("gop", gop.to_string()),
-        ("positions", format!("{positions:?}")),
+        ("largest error", largest_error(*positions)),
         ("intensity", format!("{intensity:?}")),
         ("projection", format!("{projection:?}")),
         ("layout", format!("{headerless:?}")),
@@ -51,6 +52,18 @@ pub fn list(config: &EncoderConfig, frames: usize) -> Settings {
         ("regions", format!("{intra:?}")),
     ];
     settings.map(|(name, value)| (name.to_owned(), value)).into()
+}
+
+/// The largest error of positions, in words.
+fn largest_error(positions: Positions) -> String {
+    match positions {
+        Positions::Exact => "none".to_owned(),
+        Positions::Formula => "that of paper mode".to_owned(),
+        Positions::Bounded { max_error_um, on_grid } => {
+            let grid = if on_grid { " on the file's grid" } else { "" };
+            format!("{} mm{grid}", f64::from(max_error_um) / 1000.0)
+        }
+    }
 }
 
 /// The first difference, if there is any.
@@ -81,7 +94,7 @@ mod tests {
         );
         let bounded = |max_error_um| list(&EncoderConfig::preset(Mode::Bounded { max_error_um }), 3);
         let what = difference(&bounded(10_000), &bounded(10_001)).unwrap();
-        assert!(what.contains("10000") && what.contains("10001"), "{what}");
+        assert_eq!(what, "largest error: 10 mm, now 10.001 mm");
         assert!(difference(&before[..5].to_vec(), &before).is_some());
         let level = |number| EncoderConfig { level: Level::new(number).unwrap(), ..EncoderConfig::default() };
         assert_eq!(difference(&list(&level(6), 3), &list(&level(9), 3)).unwrap(), "level: 6, now 9");

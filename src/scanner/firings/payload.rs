@@ -26,14 +26,9 @@ impl Firings {
         let Build { recipe, ticks, range_step_um, coordinates, origin, ref timing, ref mounting } =
             self.build;
         [recipe as u32, ticks, range_step_um].iter().for_each(|&number| write_unsigned(out, number.into()));
-        let (grid, step) = match coordinates {
-            Coordinates::Float32 => (0, 0),
-            Coordinates::Millimetre => (1, 0),
-            Coordinates::Lattice { step_nm } => (2, step_nm),
-            Coordinates::Digits(digits) => (3, u64::from(digits)),
-        };
-        write_unsigned(out, grid);
-        write_unsigned(out, step);
+        let (grid, step) = coordinates.to_numbers();
+        write_unsigned(out, grid.into());
+        write_unsigned(out, step.into());
         write_signed(out, origin.along_um.into());
         write_signed(out, origin.up_um.into());
         write_unsigned(out, self.lasers.len() as u64);
@@ -73,14 +68,9 @@ impl Firings {
         let range_step_um =
             read_within(bytes, "scanner: range step in micrometres", 1..=MOST_RANGE_STEP_UM)? as u32;
         let grid = read_within(bytes, "scanner: grid of the coordinates", 0..=3)? as u32;
-        let step = read_within(bytes, "scanner: step of the grid", 0..=1_000_000_000)? as u32;
-        let coordinates = match (grid, step) {
-            (0, 0) => Coordinates::Float32,
-            (1, 0) => Coordinates::Millimetre,
-            (2, 1..) => Coordinates::Lattice { step_nm: step.into() },
-            (3, 1..=9) => Coordinates::Digits(step as u8),
-            _ => return Err(Error::corrupt("scanner: a grid and a step that do not fit together")),
-        };
+        let step = read_within(bytes, "scanner: step of the grid", 0..=u32::MAX.into())? as u32;
+        let coordinates = Coordinates::from_numbers(grid, step)
+            .ok_or_else(|| Error::corrupt("scanner: a grid and a step that do not fit together"))?;
         let mut metre = || match read_signed(bytes, "scanner")? {
             um if um.unsigned_abs() <= MOST_ORIGIN_UM => Ok(um as i32),
             _ => Err(Error::corrupt("scanner: beams start too far away")),
