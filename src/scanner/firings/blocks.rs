@@ -29,15 +29,19 @@ impl Firings {
         if blocks > 0.0 { ticks as f64 / blocks } else { 0.0 }
     }
 
-    /// Whether a place with a later slot may belong to the same firing.
-    pub(super) fn goes_on(&self, last: &Place, place: &Place, span: f64) -> bool {
+    /// The ticks between firings, given those between blocks.
+    pub(super) fn firing(&self, span: f64) -> f64 {
+        span / f64::from(self.build.timing.firings(self.rows()).max(1))
+    }
+
+    /// Whether a place with a later slot may belong to the same firing, given the ticks between blocks and firings.
+    pub(super) fn goes_on(&self, last: &Place, place: &Place, (span, firing): (f64, f64)) -> bool {
         if !self.build.timing.is_interpolated() {
             let off = self.turned(last.column_tick, place.column_tick).unsigned_abs();
             return off <= u64::from(last.slack + place.slack);
         }
         // A place of the next firing is off by more than half of the ticks between firings. In some blocks no ticks
         // pass.
-        let firing = span / f64::from(self.build.timing.firings(self.rows()).max(1));
         let expected = (self.passed(0, place.slot) - self.passed(0, last.slot)) * span;
         let turned = self.turned(last.column_tick, place.column_tick);
         let slack = f64::from(last.slack + place.slack);

@@ -110,7 +110,7 @@ impl Firings {
 
     /// The range of a place at a tick of its laser, in steps: its own, or if the coordinates were rounded, the one that
     /// reproduces the most of them. `None` if it is at another tick.
-    #[inline]
+    #[inline(always)]
     pub(super) fn steps_at(
         &self,
         tick: u32,

@@ -78,10 +78,17 @@ impl<'f> Sight<'f> {
         let ahead: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt() - self.along);
         let above: [f64; N] = lanes(|i| z[i] - self.up);
         let slope: [f64; N] = lanes(|i| above[i] / ahead[i]);
-        let rows = lanes(|i| match ahead[i] > 0.0 {
-            true => self.borders.partition_point(|border| *border >= slope[i]),
-            false => nearest(&self.elevations, angle::atan2(above[i], ahead[i])),
-        });
+        // All borders are counted: for several points at once, that is faster than halving them for one point after
+        // the other.
+        let mut rows = [0; N];
+        for border in &self.borders {
+            for i in 0..N {
+                rows[i] += usize::from(*border >= slope[i]);
+            }
+        }
+        for i in (0..N).filter(|&i| ahead[i] <= 0.0 || ahead[i].is_nan()) {
+            rows[i] = nearest(&self.elevations, angle::atan2(above[i], ahead[i]));
+        }
         (rows, self.scanner.locate_all(&rows, metres))
     }
 }
@@ -220,14 +227,17 @@ impl Firings {
         image.spans = spans;
         let mut point_of_cell = Grid::new(self.rows(), columns.len());
         let mut is_stray = vec![true; cloud.positions.len()];
-        let mut cells = vec![None; places.len()];
+        // The cells of the places, if there are echoes, which need them.
+        let mut cells = vec![None; if echoes.is_empty() { 0 } else { places.len() }];
         for (number, column) in columns.iter().enumerate() {
             for index in column.places.clone() {
                 let place = &places[index];
                 let row = place.row as usize;
-                let tick = self.tick(row, column.tick, column.span);
+                let tick = self.tick_of_slot(place.slot as usize, row, column.tick, column.span);
                 if let Some(steps) = self.steps_at(tick, place, &cloud.positions, reach) {
-                    cells[index] = Some((row * columns.len() + number) as u32);
+                    if let Some(cell) = cells.get_mut(index) {
+                        *cell = Some((row * columns.len() + number) as u32);
+                    }
                     image.steps[(row, number)] = steps;
                     point_of_cell[(row, number)] = place.point;
                     is_stray[place.point as usize] = false;
@@ -395,11 +405,12 @@ impl Firings {
     /// Splits places into columns: a new one begins where the slots start again, or where the tick changes.
     pub(super) fn columns(&self, places: &[Place]) -> Vec<Column> {
         let span = self.usual_span(places);
+        let pace = (span, self.firing(span));
         let mut columns: Vec<Column> = Vec::new();
         // The last place of a column, and the last one of those whose ticks are surest.
         let mut last: Option<(&Place, &Place)> = None;
         for (number, place) in places.iter().enumerate() {
-            let known = last.filter(|(last, sure)| place.slot > last.slot && self.goes_on(sure, place, span));
+            let known = last.filter(|(last, sure)| place.slot > last.slot && self.goes_on(sure, place, pace));
             match columns.last_mut().filter(|_| known.is_some()) {
                 Some(column) => column.places.end = number + 1,
                 None => columns.push(Column {

@@ -31,7 +31,7 @@ const VLP_16_TIMES: [f32; 3] = [2.304, 55.296, 110.592];
 impl Timing {
     /// Whether ticks differ from slot to slot.
     pub fn is_interpolated(&self) -> bool {
-        *self != Timing::Together
+        !matches!(self, Timing::Together)
     }
 
     /// Number of firings per block.
