@@ -139,6 +139,24 @@ impl NumberGrid {
         (again[..value.len()] == *value).then_some(count as i64)
     }
 
+    /// The integer of each of these values; `None` for those off the grid.
+    pub fn integers(&self, values: &[u8]) -> Vec<Option<i64>> {
+        #[inline(always)]
+        fn places(scalar: Scalar, values: &[u8]) -> Vec<Option<i64>> {
+            values.chunks_exact(scalar.size() as usize).map(|value| Some(place(scalar, value))).collect()
+        }
+        match (self.form, self.scalar) {
+            // The loop is compiled for each of the most common types.
+            (None, Scalar::U8) => places(Scalar::U8, values),
+            (None, Scalar::U16) => places(Scalar::U16, values),
+            (None, Scalar::F32) => places(Scalar::F32, values),
+            (None, Scalar::F64) => places(Scalar::F64, values),
+            (_, scalar) => {
+                values.chunks_exact(scalar.size() as usize).map(|value| self.integer(value)).collect()
+            }
+        }
+    }
+
     /// Whether some of these values are off the grid.
     pub fn misses_any(&self, values: &[u8]) -> bool {
         let size = self.scalar.size() as usize;
@@ -211,7 +229,7 @@ pub fn write_number(scalar: Scalar, number: f64, value: &mut [u8]) {
 }
 
 /// An integer as it is; a floating-point value as its rank among all numbers, 0 being the rank of 0.
-#[inline]
+#[inline(always)]
 fn place(scalar: Scalar, value: &[u8]) -> i64 {
     match scalar {
         Scalar::F32 => ordered32(LittleEndian::read_u32(value)),

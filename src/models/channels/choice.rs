@@ -179,9 +179,7 @@ impl ColumnModel {
         {
             return Ok(plan);
         }
-        let grid = plan.scale.grid(scalar);
-        let size = scalar.size() as usize;
-        let integers: Vec<Option<i64>> = values.chunks_exact(size).map(|value| grid.integer(value)).collect();
+        let integers = plan.scale.grid(scalar).integers(values);
         let missed = |rule: Rule| {
             let plan = Integers { rule: Some(rule), ..plan };
             (plan, misses(&plan, sources, scalar, &integers, usize::MAX).unwrap_or(usize::MAX))
@@ -204,10 +202,7 @@ impl ColumnModel {
         const FEW: usize = 512;
         /// If one in this number of integers or more breaks a rule, it is useless.
         const MANY: usize = 3;
-        let integers: Vec<Option<i64>> = {
-            let grid = plain.scale.grid(scalar);
-            values.chunks_exact(scalar.size() as usize).map(|value| grid.integer(value)).collect()
-        };
+        let integers = plain.scale.grid(scalar).integers(values);
         let mut best = None;
         let mut least = integers.len() / 2 / MANY;
         let has_bases = scalar.size() > 2 && !part.context.columns.is_empty();

@@ -6,7 +6,7 @@ use super::choice::Tried;
 use super::image::ImageModel;
 use super::integers::{IntegersModel, Site};
 use super::levels::{LevelsModel, Palette};
-use super::plan::{Image, Integers, Levels, Plan};
+use super::plan::{Geometry, Image, Integers, Levels, Plan};
 use super::rules::{Rule, RuleModel};
 use super::{RecordContext, Sources, may_be_key};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
@@ -101,7 +101,9 @@ impl ColumnModel {
         let model = image.get_or_insert_default();
         model.start_frame(context.size());
         let (grid, divisor) = (plan.scale.grid(scalar), i64::from(plan.divisor));
-        code_each(coder, off, (plan.has_exceptions, &grid), scalar, values, |coder, record, integer| {
+        let integers = known_integers::<C>(&grid, values);
+        let how = (plan.has_exceptions, &grid);
+        code_each(coder, off, how, scalar, (&integers, values), |coder, record, integer| {
             let steps = context.steps.get(record).copied().unwrap_or(0);
             integer.map(|integer| model.code(coder, context.cell(record), steps, integer / divisor) * divisor)
         });
@@ -117,25 +119,17 @@ impl ColumnModel {
         values: &mut [u8],
     ) -> Result<()> {
         let grid = plan.scale.grid(scalar);
-        let records = values.chunks_exact(scalar.size() as usize);
-        let count = records.len();
-        let palette =
-            if C::ENCODES { Palette::of(records.filter_map(|value| grid.integer(value))) } else { None };
-        let palette = palette.unwrap_or_default().code(coder)?;
+        let count = values.len() / scalar.size() as usize;
+        let integers = known_integers::<C>(&grid, values);
+        let palette = Palette::of(integers.iter().copied().flatten()).unwrap_or_default().code(coder)?;
         let model = self.levels.get_or_insert_default();
         model.start_frame(&palette, context.size(), count);
-        code_each(
-            coder,
-            &mut self.off,
-            (plan.has_exceptions, &grid),
-            scalar,
-            values,
-            |coder, record, integer| {
-                let number = |numbers: &[u32]| numbers.get(record).map_or(0, |&number| number as usize);
-                let cell = (number(&context.rows), number(&context.columns));
-                integer.map(|integer| model.code(coder, &palette, cell, integer))
-            },
-        );
+        let how = (plan.has_exceptions, &grid);
+        code_each(coder, &mut self.off, how, scalar, (&integers, values), |coder, record, integer| {
+            let number = |numbers: &[u32]| numbers.get(record).map_or(0, |&number| number as usize);
+            let cell = (number(&context.rows), number(&context.columns));
+            integer.map(|integer| model.code(coder, &palette, cell, integer))
+        });
         Ok(())
     }
 
@@ -148,33 +142,27 @@ impl ColumnModel {
         values: &mut [u8],
     ) -> Result<()> {
         let places = Places::new(&plan, sources, scalar)?;
-        let ColumnModel { integers, rules, off, .. } = self;
+        let ColumnModel { integers: model, rules, off, .. } = self;
         if let Some(rule) = plan.rule {
             rules.prepare(rule);
-            code_by_rule(coder, (rules, rule), off, (&plan, &places), scalar, values);
+            code_by_rule(coder, (rules, rule), off, (plan.has_exceptions, &places), scalar, values);
             return Ok(());
         }
         let lag = plan.lag as usize;
         let mut past = Vec::new();
-        code_each(
-            coder,
-            off,
-            (plan.has_exceptions, &places.grid),
-            scalar,
-            values,
-            |coder, record, integer| {
-                let coded = integer.map(|integer| {
-                    let mut site = places.site(record);
-                    site.lagged =
-                        (lag > 0 && record > lag).then(|| [past[record - lag], past[record - lag - 1]]);
-                    integers.get_or_insert_default().code(coder, &site, integer)
-                });
-                if lag > 0 {
-                    past.push(coded.or(past.last().copied()).unwrap_or(0));
-                }
-                coded
-            },
-        );
+        let integers = known_integers::<C>(&places.grid, values);
+        let how = (plan.has_exceptions, &places.grid);
+        code_each(coder, off, how, scalar, (&integers, values), |coder, record, integer| {
+            let coded = integer.map(|integer| {
+                let mut site = places.site(record);
+                site.lagged = (lag > 0 && record > lag).then(|| [past[record - lag], past[record - lag - 1]]);
+                model.get_or_insert_default().code(coder, &site, integer)
+            });
+            if lag > 0 {
+                past.push(coded.or(past.last().copied()).unwrap_or(0));
+            }
+            coded
+        });
         Ok(())
     }
 
@@ -190,40 +178,47 @@ fn code_by_rule<C: BitCoder>(
     coder: &mut C,
     (model, rule): (&mut RuleModel, Rule),
     off: &mut OffModel,
-    (plan, places): (&Integers, &Places),
+    (has_exceptions, places): (bool, &Places),
     scalar: Scalar,
     values: &mut [u8],
 ) {
-    let known = values
-        .chunks_exact(scalar.size() as usize)
+    let integers = known_integers::<C>(&places.grid, values);
+    let known = integers
+        .iter()
         .enumerate()
-        .map(|(record, value)| places.grid.integer(value).map(|integer| (places.site(record), integer)));
+        .map(|(record, integer)| integer.map(|integer| (places.site(record), integer)));
     let (doubts, learned) = model.code_doubts(coder, rule, known);
     // If the rule is right for all integers, nothing else is coded.
-    if let Some(learned) = learned.filter(|_| doubts.is_empty() && !plan.has_exceptions) {
+    if let Some(learned) = learned.filter(|_| doubts.is_empty() && !has_exceptions) {
         return model.know(learned);
     }
-    code_each(coder, off, (plan.has_exceptions, &places.grid), scalar, values, |coder, record, integer| {
+    let how = (has_exceptions, &places.grid);
+    code_each(coder, off, how, scalar, (&integers, values), |coder, record, integer| {
         integer.map(|integer| model.code(coder, (rule, doubts), (record, &places.site(record)), integer))
     });
 }
 
-/// Codes values as integers by calling `code` for each, with the number of its record; the integer is `None` for a
-/// value off the grid.
+/// The integers of values, which only an encoder knows.
+fn known_integers<C: BitCoder>(grid: &NumberGrid, values: &[u8]) -> Vec<Option<i64>> {
+    if C::ENCODES { grid.integers(values) } else { Vec::new() }
+}
+
+/// Codes values as integers, which an encoder passes as well, by calling `code` for each, with the number of its record;
+/// the integer is `None` for a value off the grid.
 #[inline(always)]
 fn code_each<C: BitCoder>(
     coder: &mut C,
     off: &mut OffModel,
     (has_exceptions, grid): (bool, &NumberGrid),
     scalar: Scalar,
-    values: &mut [u8],
+    (integers, values): (&[Option<i64>], &mut [u8]),
     mut code: impl FnMut(&mut C, usize, Option<i64>) -> Option<i64>,
 ) {
     for (record, value) in values.chunks_exact_mut(scalar.size() as usize).enumerate() {
         if coder.is_exhausted() {
             return;
         }
-        let integer = if C::ENCODES { grid.integer(value) } else { Some(0) };
+        let integer = if C::ENCODES { integers[record] } else { Some(0) };
         if has_exceptions && off.code(coder, scalar, integer.is_none(), value) {
             code(coder, record, None);
             continue;
@@ -239,17 +234,19 @@ fn code_each<C: BitCoder>(
 /// What a plan uses of each record.
 pub struct Places<'a> {
     keys: Cow<'a, [u32]>,
-    plan: Integers,
+    columns: &'a [u32],
+    geometry: Geometry,
     context: &'a RecordContext,
-    pub grid: NumberGrid,
+    grid: NumberGrid,
 }
 
 impl<'a> Places<'a> {
     /// # Errors
     /// If the channel of the plan's keys does not exist.
     pub fn new(plan: &Integers, sources: &'a Sources, scalar: Scalar) -> Result<Self> {
-        let (keys, grid) = (keys(plan.key, sources)?, plan.scale.grid(scalar));
-        Ok(Places { keys, plan: *plan, context: sources.context, grid })
+        let (keys, grid, context) = (keys(plan.key, sources)?, plan.scale.grid(scalar), sources.context);
+        let columns = if plan.rule == Some(Rule::Tick) { &context.ticks } else { &context.columns };
+        Ok(Places { keys, columns, geometry: plan.geometry, context, grid })
     }
 
     /// What is known about a record, apart from the integers before it.
@@ -257,11 +254,8 @@ impl<'a> Places<'a> {
     pub fn site(&self, record: usize) -> Site {
         Site {
             key: self.keys.get(record).copied().unwrap_or(0),
-            column: match self.plan.rule {
-                Some(Rule::Tick) => self.context.ticks.get(record).copied().unwrap_or(0),
-                _ => self.context.columns.get(record).copied().unwrap_or(0),
-            },
-            geometry: self.plan.geometry.of(record, self.context).map(|number| self.grid.nearest(number)),
+            column: self.columns.get(record).copied().unwrap_or(0),
+            geometry: self.geometry.of(record, self.context).map(|number| self.grid.nearest(number)),
             lagged: None,
         }
     }
