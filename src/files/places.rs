@@ -101,7 +101,7 @@ fn steadiness(placed: &[Placed], body: &[u8], stride: usize) -> f64 {
         for (a, b) in pairs {
             let (a, b) = (&a[field.at..field.at + size], &b[field.at..field.at + size]);
             same += u32::from(a[size - 1] == b[size - 1]);
-            changed |= a != b;
+            changed = changed || a != b;
             count += 1;
         }
         if changed { f64::from(same) / f64::from(count.max(1)) } else { 0.0 }

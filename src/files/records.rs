@@ -63,8 +63,8 @@ pub(super) fn split(mut layout: Layout, body: &[u8]) -> (Layout, PointCloud) {
     let value = |record: &[u8], at: usize| LittleEndian::read_f32(&record[at..]);
     // Field by field, because a vector that is collected in one go does not check its capacity for each
     // value.
-    let positions = layout.position_offsets().map_or_else(Vec::new, |offsets| {
-        records.clone().map(|record| offsets.map(|at| value(record, at))).collect()
+    let positions = layout.position_offsets().map_or_else(Vec::new, |[x, y, z]| {
+        records.clone().map(|record| [value(record, x), value(record, y), value(record, z)]).collect()
     });
     let mut intensity: Vec<f32> = match layout.intensity_place() {
         Some((at, Scalar::F32)) => records.map(|record| value(record, at)).collect(),
