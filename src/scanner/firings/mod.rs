@@ -41,8 +41,10 @@ use std::f64::consts::TAU;
 use std::fmt;
 use std::sync::Arc;
 
+use pulp::NullaryFnOnce;
+
 use crate::ground::angle;
-use crate::ground::lanes::lanes;
+use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::{BeamConstants, Coordinates, Hdl64, RangeImage, Return};
 use recipe::{Arithmetic, MOST_LOCATED, Turn};
@@ -420,17 +422,10 @@ impl Firings {
             let single = |metres: f64| if metres.is_nan() { 0.0 } else { grid.nearest(metres) };
             return returns.iter().map(|found| self.position(found, offset_m).map(single)).collect();
         }
-        let step = self.build.range_step_um;
-        let single = |metres: f32| if metres.is_nan() { 0.0 } else { metres };
         match &self.build.mounting {
-            None => {
-                let position = |found: &Return| {
-                    let arithmetic = &self.arithmetic[found.row as usize];
-                    arithmetic.position(&self.turn, found.tick, found.steps, step).map(single)
-                };
-                returns.iter().map(position).collect()
-            }
+            None => dispatch(Filling { scanner: self, returns }),
             Some(mounting) => {
+                let step = self.build.range_step_um;
                 let moved = |found: &Return| {
                     let arithmetic = &self.arithmetic[found.row as usize];
                     let nearly = (!mounting.order.rounds_first())
@@ -441,9 +436,18 @@ impl Firings {
                         mounting.moved(&self.measured_position(found)).map(|metres| metres as f32)
                     })
                 };
-                returns.iter().map(|found| moved(found).map(single)).collect()
+                returns.iter().map(|found| moved(found).map(or_zero)).collect()
             }
         }
+    }
+
+    /// The positions of some returns in the frame of the scanner.
+    #[inline(always)]
+    fn positions_of<const N: usize>(&self, returns: &[Return; N]) -> [[f32; 3]; N] {
+        let lasers = returns.each_ref().map(|found| &self.arithmetic[found.row as usize]);
+        let (ticks, steps) = (lanes(|i| returns[i].tick), lanes(|i| returns[i].steps));
+        let positions = Arithmetic::positions(&lasers, &self.turn, ticks, steps, self.build.range_step_um);
+        lanes(|i| positions[i].map(or_zero))
     }
 
     /// The position of a return in metres, as accurately as the recipe computes it, `offset_m` metres beyond the
@@ -539,6 +543,37 @@ impl fmt::Display for Firings {
                 write!(f, ", {} a block, with a timing of their own", timing.firings(self.rows()))
             }
         }
+    }
+}
+
+/// A number, 0 in place of none.
+#[inline(always)]
+fn or_zero(metres: f32) -> f32 {
+    if metres.is_nan() { 0.0 } else { metres }
+}
+
+/// The computation of positions in the frame of the scanner, as a type so that it can be compiled for several vector
+/// units.
+struct Filling<'a> {
+    scanner: &'a Firings,
+    returns: &'a [Return],
+}
+
+impl NullaryFnOnce for Filling<'_> {
+    type Output = Vec<[f32; 3]>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<[f32; 3]> {
+        let Filling { scanner, returns } = self;
+        let mut positions = Vec::with_capacity(returns.len());
+        let (blocks, rest) = returns.as_chunks::<8>();
+        for block in blocks {
+            positions.extend_from_slice(&scanner.positions_of(block));
+        }
+        for found in rest {
+            positions.extend(scanner.positions_of(&[*found]));
+        }
+        positions
     }
 }
 

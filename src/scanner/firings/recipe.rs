@@ -484,6 +484,46 @@ impl Arithmetic {
         }
     }
 
+    /// The same for several ranges, each of a laser of its own: in a fraction of the time by the recipes of most scanners,
+    /// because vector units compute them side by side.
+    #[inline(always)]
+    pub fn positions<const N: usize>(
+        lasers: &[&Self; N],
+        turn: &Turn,
+        ticks: [u32; N],
+        steps: [u32; N],
+        range_step_um: u32,
+    ) -> [[f32; 3]; N] {
+        let step = f64::from(range_step_um) * 1e-6;
+        let together = match (lasers[0], turn) {
+            (Arithmetic::Single { is_turned: false, .. }, Turn::Tables(table)) => {
+                Some(Self::singles(lasers, table, ticks, lanes(|i| steps[i] as f32 * step as f32)))
+            }
+            (Arithmetic::Double { .. }, _) => Self::doubles_by_table(
+                lasers,
+                turn,
+                ticks,
+                lanes(|i| lasers[i].metres(steps[i], range_step_um)),
+            ),
+            _ => None,
+        };
+        match together {
+            Some([x, y, z]) => lanes(|i| [x[i], y[i], z[i]]),
+            None => Self::positions_one_by_one(lasers, turn, ticks, steps, range_step_um),
+        }
+    }
+
+    /// The same, not compiled for each vector unit.
+    fn positions_one_by_one<const N: usize>(
+        lasers: &[&Self; N],
+        turn: &Turn,
+        ticks: [u32; N],
+        steps: [u32; N],
+        range_step_um: u32,
+    ) -> [[f32; 3]; N] {
+        lanes(|i| lasers[i].position(turn, ticks[i], steps[i], range_step_um))
+    }
+
     /// The same in the precision in which they are computed, before they are rounded once.
     pub fn unrounded(&self, turn: &Turn, tick: u32, steps: u32, range_step_um: u32) -> [f64; 3] {
         match self {
@@ -504,7 +544,9 @@ impl Arithmetic {
         steps: u32,
         range_step_um: u32,
     ) -> Option<([f64; 3], f64)> {
-        self.double_nearly(turn, tick, self.metres(steps, range_step_um))
+        let (point, [error]) =
+            Self::doubles_nearly(&[self], turn, [tick], [self.metres(steps, range_step_um)])?;
+        Some((point.map(|[value]| value), error))
     }
 
     /// A range of whole steps, in metres, as recipes in double precision compute it.
@@ -523,13 +565,12 @@ impl Arithmetic {
     fn double_by_table(&self, turn: &Turn, tick: u32, metres: f64) -> Option<[f32; 3]> {
         let Turn::Degrees(_, table) = turn else { return None };
         match self {
-            Arithmetic::Double { .. } => {
-                let ([x, y, z], error) = self.double_nearly(turn, tick, metres)?;
-                Some([sure(x, error)?, sure(y, error)?, z as f32])
-            }
+            Arithmetic::Double { .. } => Self::doubles_by_table(&[self], turn, [tick], [metres])
+                .map(|point| point.map(|[value]| value)),
             Arithmetic::Ls { cos_v, sin_v, turned, offsets: [cos_o, sin_o], along, up, .. } => {
                 let [cos, sin] = *table.get((tick + turned) % table.len());
-                let [cos_s, sin_s] = turned_by([cos, sin], [*cos_o, -sin_o])?;
+                let start = turned_by([cos, sin], [*cos_o, -sin_o]);
+                let [cos_s, sin_s] = Some(start).filter(has_signs)?;
                 let (flat, error) = (metres * cos_v, along.abs() * TURNED_ERROR);
                 Some([
                     sure(flat * sin + along * sin_s, error)?,
@@ -541,21 +582,49 @@ impl Arithmetic {
         }
     }
 
-    /// Nearly the result of [`double`](Self::double), and the largest error of x and y; z has none.
+    /// The same for several ranges, each of a laser of its own.
     #[inline(always)]
-    fn double_nearly(&self, turn: &Turn, tick: u32, metres: f64) -> Option<([f64; 3], f64)> {
-        let (Arithmetic::Double { cos_v, sin_v, offsets, axes, .. }, Turn::Degrees(_, table)) = (self, turn)
-        else {
+    fn doubles_by_table<const N: usize>(
+        lasers: &[&Self; N],
+        turn: &Turn,
+        ticks: [u32; N],
+        metres: [f64; N],
+    ) -> Option<[[f32; N]; 3]> {
+        let (point, errors) = Self::doubles_nearly(lasers, turn, ticks, metres)?;
+        let [x, y, _] = point;
+        let are_sure = (0..N).fold(true, |all, i| all & is_sure(x[i], errors[i]) & is_sure(y[i], errors[i]));
+        are_sure.then(|| point.map(|values| lanes(|i| values[i] as f32)))
+    }
+
+    /// Nearly the results of [`double`](Self::double), and the largest errors of x and y; z has none.
+    #[inline(always)]
+    fn doubles_nearly<const N: usize>(
+        lasers: &[&Self; N],
+        turn: &Turn,
+        ticks: [u32; N],
+        metres: [f64; N],
+    ) -> Option<([[f64; N]; 3], [f64; N])> {
+        let (Arithmetic::Double { axes, .. }, Turn::Degrees(_, table)) = (lasers[0], turn) else {
             return None;
         };
-        let [cos, sin] = turned_by(*table.get(tick), *offsets)?;
-        let flat = metres * cos_v;
-        let (cos, sin) = (flat * cos, flat * sin);
+        let of_lasers: [[[f64; 2]; 2]; N] = lanes(|i| match lasers[i] {
+            Arithmetic::Double { cos_v, sin_v, offsets, .. } => [[*cos_v, *sin_v], *offsets],
+            _ => [[0.0; 2]; 2],
+        });
+        let of_ticks = table.at(ticks);
+        let turned: [[f64; 2]; N] = lanes(|i| turned_by(of_ticks[i], of_lasers[i][1]));
+        if !turned.iter().fold(true, |all, turned| all & has_signs(turned)) {
+            return None;
+        }
+        let flat: [f64; N] = lanes(|i| metres[i] * of_lasers[i][0][0]);
+        let (cos, sin): ([f64; N], [f64; N]) =
+            (lanes(|i| flat[i] * turned[i][0]), lanes(|i| flat[i] * turned[i][1]));
         let (x, y) = match axes {
-            Axes::XAhead => (cos, -sin),
+            Axes::XAhead => (cos, lanes(|i| -sin[i])),
             Axes::YAhead => (sin, cos),
         };
-        Some(([x, y, metres * sin_v], flat.abs() * TURNED_ERROR))
+        let point = [x, y, lanes(|i| metres[i] * of_lasers[i][0][1])];
+        Some((point, lanes(|i| flat[i].abs() * TURNED_ERROR)))
     }
 
     /// The same for [`ouster`](Self::ouster).
@@ -567,7 +636,7 @@ impl Arithmetic {
             return None;
         };
         let [cos_t, sin_t] = *table.get(tick);
-        let [cos, sin] = turned_by([cos_t, sin_t], *offsets)?;
+        let [cos, sin] = Some(turned_by([cos_t, sin_t], *offsets)).filter(has_signs)?;
         let along = start.along;
         let [direction, start] = start.ray([cos_t, -sin_t], [cos * cos_v, -sin * cos_v, *sin_v]);
         let mut position = [0.0; 3];
@@ -638,21 +707,8 @@ impl Arithmetic {
     #[inline(always)]
     fn single(&self, turn: &Turn, tick: u32, metres: f32) -> [f32; 3] {
         match (self, turn) {
-            (Arithmetic::Single { cos_v, sin_v, offset, is_turned, in_double, up }, Turn::Tables(table)) => {
-                let [mut cos, mut sin] = *table.get(tick);
-                if let Some([cos_o, sin_o]) = offset {
-                    (cos, sin) = (cos * cos_o + sin * sin_o, sin * cos_o - cos * sin_o);
-                }
-                let (x, y) = if *in_double {
-                    let flat = f64::from(metres) * f64::from(*cos_v);
-                    ((flat * f64::from(cos)) as f32, (flat * f64::from(sin)) as f32)
-                } else {
-                    let flat = metres * cos_v;
-                    (flat * cos, flat * sin)
-                };
-                // Adding no height would change the sign of a zero.
-                let z = up.map_or(metres * sin_v, |up| metres * sin_v + up);
-                if *is_turned { [-x, y, z] } else { [x, -y, z] }
+            (Arithmetic::Single { .. }, Turn::Tables(table)) => {
+                Self::singles(&[self], table, [tick], [metres]).map(|[value]| value)
             }
             (Arithmetic::Tables { cos_v, sin_v, turned, along, up }, Turn::Tables(table)) => {
                 let [cos, sin] = *table.get((tick + turned) % table.len());
@@ -671,6 +727,46 @@ impl Arithmetic {
                 [flat * glibc::sinf(angle), flat * glibc::cosf(angle), metres * sin_v]
             }
             _ => [0.0; 3],
+        }
+    }
+
+    /// The same by the recipes of [`Arithmetic::Single`] for several ranges, each of a laser of its own.
+    #[inline(always)]
+    fn singles<const N: usize>(
+        lasers: &[&Self; N],
+        table: &LazyTable<[f32; 2]>,
+        ticks: [u32; N],
+        metres: [f32; N],
+    ) -> [[f32; N]; 3] {
+        let Arithmetic::Single { is_turned, in_double, .. } = lasers[0] else { return [[0.0; N]; 3] };
+        let constants = |i: usize| match lasers[i] {
+            Arithmetic::Single { cos_v, sin_v, offset, up, .. } => ([*cos_v, *sin_v], *offset, *up),
+            _ => Default::default(),
+        };
+        let of_lasers: [[f32; 2]; N] = lanes(|i| constants(i).0);
+        let mut turned = table.at(ticks);
+        // Few scanners have offsets or heights.
+        if (0..N).any(|i| constants(i).1.is_some()) {
+            turned = lanes(|i| match (turned[i], constants(i).1) {
+                ([cos, sin], Some([cos_o, sin_o])) => [cos * cos_o + sin * sin_o, sin * cos_o - cos * sin_o],
+                (turned, None) => turned,
+            });
+        }
+        let along = |axis: usize| match in_double {
+            true => lanes(|i| {
+                (f64::from(metres[i]) * f64::from(of_lasers[i][0]) * f64::from(turned[i][axis])) as f32
+            }),
+            false => lanes(|i| metres[i] * of_lasers[i][0] * turned[i][axis]),
+        };
+        let (x, y): ([f32; N], [f32; N]) = (along(0), along(1));
+        let mut z: [f32; N] = lanes(|i| metres[i] * of_lasers[i][1]);
+        // Adding no height would change the sign of a zero.
+        if (0..N).any(|i| constants(i).2.is_some()) {
+            z = lanes(|i| constants(i).2.map_or(z[i], |up| z[i] + up));
+        }
+        match is_turned {
+            true => [lanes(|i| -x[i]), y, z],
+            false => [x, lanes(|i| -y[i]), z],
         }
     }
 
@@ -739,19 +835,30 @@ impl OusterStart {
 /// errors of 3e-15; cosines and sines are rounded to 1e-16.
 pub(super) const TURNED_ERROR: f64 = 2e-14;
 
-/// Cosine and sine of the sum of two angles; `None` if one of them is so small that its sign is uncertain.
-#[inline]
-fn turned_by([cos, sin]: [f64; 2], [cos_o, sin_o]: [f64; 2]) -> Option<[f64; 2]> {
-    let turned = [cos * cos_o - sin * sin_o, sin * cos_o + cos * sin_o];
-    turned.iter().all(|part| part.abs() > TURNED_ERROR).then_some(turned)
+/// Cosine and sine of the sum of two angles.
+#[inline(always)]
+fn turned_by([cos, sin]: [f64; 2], [cos_o, sin_o]: [f64; 2]) -> [f64; 2] {
+    [cos * cos_o - sin * sin_o, sin * cos_o + cos * sin_o]
+}
+
+/// Whether neither cosine nor sine by [`turned_by`] is so small that its sign is uncertain.
+#[inline(always)]
+fn has_signs(turned: &[f64; 2]) -> bool {
+    (turned[0].abs() > TURNED_ERROR) & (turned[1].abs() > TURNED_ERROR)
+}
+
+/// Whether the same float32 is nearest to all numbers within `error` of a value.
+#[inline(always)]
+fn is_sure(value: f64, error: f64) -> bool {
+    let (low, high) = ((value - error) as f32, (value + error) as f32);
+    // If the error is 0, adding it changes no more than the sign of a zero.
+    (error == 0.0) | (low.to_bits() == high.to_bits())
 }
 
 /// The float32 that is nearest to all numbers within `error` of a value; `None` if there is more than one.
 #[inline]
 pub(super) fn sure(value: f64, error: f64) -> Option<f32> {
-    let (low, high) = ((value - error) as f32, (value + error) as f32);
-    // If the error is 0, adding it changes no more than the sign of a zero.
-    (error == 0.0 || low.to_bits() == high.to_bits()).then_some(value as f32)
+    is_sure(value, error).then_some(value as f32)
 }
 
 /// Upper limit of ranges, in steps.
@@ -828,5 +935,39 @@ mod tests {
             }
         }
         assert!(by_table > all * 3 / 4, "{by_table} of {all}");
+    }
+
+    #[test]
+    fn positions_side_by_side_are_those_of_each_range() {
+        const LASERS: usize = 8;
+        let mut random = Rng::keyed(2, &[]);
+        for recipe in Recipe::ALL {
+            let turn = Turn::new(recipe, 36_000);
+            let origin = Origin { along_um: 20_000, up_um: 30_000 };
+            // None, some or all of the lasers have an offset.
+            for offsets in [0, 4, LASERS] {
+                let arithmetic: [Arithmetic; LASERS] = std::array::from_fn(|i| {
+                    let azimuth = if i < offsets { 1_042_000_000 + i as i64 } else { 0 };
+                    Arithmetic::new(
+                        recipe,
+                        &Laser { elevation: 2_000_000_000 * i as i64, azimuth },
+                        origin,
+                        36_000,
+                    )
+                });
+                for _ in 0..100 {
+                    // Sometimes the tick and the range are 0, so that coordinates are zeros of either sign.
+                    let numbers = |random: &mut Rng, most: usize| {
+                        std::array::from_fn(|_| random.below(most).saturating_sub(most / 8) as u32)
+                    };
+                    let (ticks, steps) = (numbers(&mut random, 36_000), numbers(&mut random, 60_000));
+                    let together = Arithmetic::positions(&arithmetic.each_ref(), &turn, ticks, steps, 2000);
+                    for i in 0..LASERS {
+                        let alone = arithmetic[i].position(&turn, ticks[i], steps[i], 2000);
+                        assert_eq!(together[i].map(f32::to_bits), alone.map(f32::to_bits), "{recipe:?}");
+                    }
+                }
+            }
+        }
     }
 }
