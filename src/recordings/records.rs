@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use byteorder::{ByteOrder, LittleEndian};
 use crc32fast::Hasher;
-use mcap::records::{Channel, Header, Record, SchemaHeader, op};
+use mcap::records::{Channel, Footer, Header, Record, SchemaHeader, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
 
@@ -136,13 +136,12 @@ impl<R: Read> Records<R> {
         }
         self.file.sum = Hasher::new();
         loop {
-            let mut sum = self.file.sum.clone();
+            let summary = self.file.sum.clone();
             let record = read_record(&mut self.file)?;
             match record.opcode {
                 op::FOOTER => {
                     let Record::Footer(footer) = parsed(&record)? else { continue };
-                    sum.update(&record.before_checksum());
-                    if ![0, sum.finalize()].contains(&footer.summary_crc) {
+                    if !record.confirms(summary, &footer) {
                         self.faults.add("the checksum of its summary is wrong");
                     }
                     break;
@@ -336,11 +335,12 @@ impl RawRecord {
         [&[self.opcode], &self.length.to_le_bytes()[..], &self.contents].concat()
     }
 
-    /// Of the footer, what its checksum covers besides the summary.
-    fn before_checksum(&self) -> Vec<u8> {
-        let mut bytes = self.bytes();
-        bytes.truncate(bytes.len().saturating_sub(4));
-        bytes
+    /// Whether this record, a footer, has the checksum of the summary before it and of itself up to there, or none.
+    fn confirms(&self, mut summary: Hasher, footer: &Footer) -> bool {
+        /// The kind, the length and two positions.
+        const COVERED: usize = 1 + 8 + 2 * 8;
+        summary.update(self.bytes().get(..COVERED).unwrap_or_default());
+        [0, summary.finalize()].contains(&footer.summary_crc)
     }
 }
 
@@ -568,7 +568,6 @@ fn summary(input: &mut (impl Read + Seek)) -> Result<Option<Vec<u8>>> {
     input.take(length).read_to_end(&mut summary)?;
     let mut sum = Hasher::new();
     sum.update(&summary);
-    sum.update(&record.before_checksum());
-    let is_intact = fields.summary_start > 0 && [0, sum.finalize()].contains(&fields.summary_crc);
+    let is_intact = fields.summary_start > 0 && record.confirms(sum, &fields);
     Ok(is_intact.then_some(summary))
 }

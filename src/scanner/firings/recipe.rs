@@ -484,8 +484,8 @@ impl Arithmetic {
         }
     }
 
-    /// The same for several ranges, each of a laser of its own: in a fraction of the time by the recipes of most scanners,
-    /// because vector units compute them side by side.
+    /// The same for several ranges, each of a laser of its own. By the recipes of most scanners, vector units compute them
+    /// side by side.
     #[inline(always)]
     pub fn positions<const N: usize>(
         lasers: &[&Self; N],
