@@ -11,7 +11,7 @@ use std::time::Duration;
 use common::{drives, points};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use lidarpc::internals::container::FrameHeader;
-use lidarpc::internals::frame::StepReport;
+use lidarpc::internals::frame::StageReport;
 use lidarpc::internals::frame::group::{GroupDecoder, GroupEncoder};
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::ground::error::Limits;
@@ -50,9 +50,9 @@ fn measure(
     group.bench_function(format!("decode/{kind}"), |b| {
         b.iter(|| {
             let mut decoder = GroupDecoder::new([scanner], &Limits::default());
-            let mut steps = StepReport::default();
+            let mut stages = StageReport::default();
             for frame in &coded {
-                black_box(decoder.decode_frame(&frame.header, &frame.sections, &mut steps).unwrap());
+                black_box(decoder.decode_frame(&frame.header, &frame.sections, &mut stages).unwrap());
             }
         });
     });

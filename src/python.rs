@@ -28,14 +28,8 @@ mod native {
 /// The error as a Python exception: its class tells whether the file or its contents are to blame, and its
 /// message names the file and, if known, the frame.
 fn raise(error: Error, file: &str, frame: Option<u64>) -> PyErr {
-    let frame = error.place().and_then(|place| place.frame).or(frame);
-    let what = error.to_string();
-    // Messages about a group number the frames within it.
-    let frame_named = match frame.filter(|number| !what.contains(&format!("frame {number} ("))) {
-        Some(number) => format!("frame {number}: {what}"),
-        None => what,
-    };
-    let message = if file.is_empty() { frame_named } else { format!("{file}: {frame_named}") };
+    let (frame, what) = error.about_frame(frame);
+    let message = if file.is_empty() { what } else { format!("{file}: {what}") };
     let (class, cause) = match error {
         Error::Io(error) => ("InputError", Some(PyErr::from(error))),
         _ => ("Error", None),
@@ -174,11 +168,7 @@ impl StreamReader {
 
     /// The first frame of each group, and the number of frames.
     fn groups(&self, py: Python<'_>) -> Vec<u64> {
-        py.detach(|| {
-            let decoder = locked(&self.decoder);
-            let next = |start: &u64| Some(decoder.group_of(*start)?.end);
-            std::iter::successors(Some(0), next).collect()
-        })
+        py.detach(|| locked(&self.decoder).group_borders())
     }
 
     /// The name of each frame. Reads the whole stream, but decodes nothing.

@@ -121,11 +121,7 @@ struct Failure {
 impl Failure {
     /// An error message, which names the frame if it is known.
     fn new(error: &Error, frame: Option<u64>) -> Self {
-        let frame = error.place().and_then(|place| place.frame).or(frame);
-        let what = error.to_string();
-        // Messages about a group number the frames within it.
-        let unnamed = frame.filter(|number| !what.contains(&format!("frame {number} (")));
-        let message = unnamed.map_or_else(|| what.clone(), |number| format!("frame {number}: {what}"));
+        let (frame, message) = error.about_frame(frame);
         Failure { message, frame }
     }
 }
@@ -241,9 +237,7 @@ impl Module {
             time: frame.time.map(|time| time.to_string()),
             coded_bytes: frame.coded_bytes,
         });
-        let next = |start: &u64| Some(decoder.group_of(*start)?.end);
-        let groups = std::iter::successors(Some(0), next).collect();
-        let opened = json(&Opened { frames: frames.collect(), groups });
+        let opened = json(&Opened { frames: frames.collect(), groups: decoder.group_borders() });
         self.decoder = Some(decoder);
         Ok(opened)
     }

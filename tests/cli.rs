@@ -9,6 +9,7 @@ use std::process::{Command as Process, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::scans::{scans, small};
+use crate::common::skip;
 use crate::program::{Bench, Files, failure, odd_files, scan};
 use assert_cmd::cargo::cargo_bin;
 use serde_json::Value;
@@ -323,7 +324,7 @@ fn a_file_that_cannot_be_opened_is_named() {
     unreadable.set_readonly(true);
     fs::set_permissions(&secret, unreadable).unwrap();
     if fs::read(&secret).is_ok() {
-        eprintln!("skipped: permissions do not stop this user");
+        skip("permissions do not stop this user");
     } else {
         let error = bench.fails("encode seq -o new.lpc", "seq/2.bin");
         assert!(error.contains("denied"), "{error}");
@@ -886,6 +887,48 @@ fn scans_are_converted_as_asked() {
         let back = bench.files(&format!("from-{format}"));
         assert_eq!((&back["1.bin"], &back["2.bin"]), (&files["1.bin"], &files["2.bin"]));
         assert_eq!(back["3.bin"], scan(2, 3), "without what was behind the points");
+    }
+}
+
+#[test]
+fn doubles_are_converted_as_doubles() {
+    let bench = Bench::new();
+    let header =
+        "VERSION 0.7\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\nPOINTS 1\n";
+    let point = [0.1, -0.2, 1.0 / 3.0].map(f64::to_le_bytes);
+    let file = [header.as_bytes(), b"DATA binary\n", point.as_flattened()].concat();
+    bench.write_files("seq", &[("1.pcd".to_owned(), file)].into());
+    bench.ok("encode seq -o out.lpc");
+    bench.ok("decode out.lpc -o csv --format csv");
+    assert_eq!(bench.files("csv")["1.csv"], b"x,y,z\n0.1,-0.2,0.3333333333333333\n");
+    let error = bench.fails("decode out.lpc -o bin --format bin", "1.pcd");
+    assert!(error.contains("not float32"), "{error}");
+}
+
+/// What can be read only once: `<(command)` of a shell, for example.
+#[cfg(unix)]
+#[test]
+fn streams_come_through_named_pipes() {
+    let bench = Bench::encoded();
+    let (stream, pipe) = (bench.path("out.lpc"), bench.path("pipe"));
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let from_pipe = |command: &str| {
+        let (stream, pipe) = (stream.clone(), pipe.clone());
+        let writer = std::thread::spawn(move || fs::copy(stream, pipe));
+        let answer = bench.ok(command);
+        writer.join().unwrap().unwrap();
+        answer
+    };
+    from_pipe("decode pipe -o back");
+    assert_eq!(bench.files("back"), bench.files("seq"));
+    from_pipe("verify pipe");
+    from_pipe("cut pipe -o cut.lpc --frames 0..1");
+    from_pipe("cat pipe -o cat.lpc");
+    assert_eq!(fs::read(bench.path("cat.lpc")).unwrap(), fs::read(bench.path("out.lpc")).unwrap());
+    for command in ["info", "stats"] {
+        let named = String::from_utf8(bench.ok(&format!("{command} out.lpc --json"))).unwrap();
+        let piped = String::from_utf8(from_pipe(&format!("{command} pipe --json"))).unwrap();
+        assert_eq!(piped.replace("\"pipe\"", "\"out.lpc\""), named);
     }
 }
 

@@ -279,6 +279,16 @@ fn two_frames_of_one_name_are_refused() {
 }
 
 #[test]
+fn a_file_and_a_folder_of_one_name_are_refused() {
+    let stream = |name: &str| encode_files(&[(name.to_owned(), vec![1; 16])], &EncoderConfig::default());
+    for (first, second) in [("a", "a/1.bin"), ("a/b/1.bin", "a/b")] {
+        let error = join(&[&stream(first), &stream("b.bin"), &stream(second)]).unwrap_err().to_string();
+        let expected = format!("in.lpc: frame 0 ({second:?}) needs a file and a folder of one name; ");
+        assert!(error.starts_with(&expected), "{error}");
+    }
+}
+
+#[test]
 fn streams_without_frames_are_cut_and_joined() {
     let empty = put_together(&[], &[]);
     assert!(cut_both_ways(&empty, FrameRange::default()).0 == empty);

@@ -1,11 +1,15 @@
 //! Exact mode: files are restored byte for byte, whatever they contain.
 
+use std::collections::BTreeSet;
+
 use crate::common::formats::{kitti, pcd_extra, pcd_xyz};
 use crate::common::odd::{Change, Format, SCANS, changed_scan, noise};
 use crate::common::scans::{Points, random_points, rows, shuffled};
 use crate::common::streams::{at_level, halved};
-use crate::common::{File, cases, first_files, real_folders, round_trip, section_bytes, take_apart};
-use lidarpc::internals::container::{Section, SectionKind};
+use crate::common::{
+    File, cases, encode_files, first_files, real_folders, round_trip, section_bytes, take_apart,
+};
+use lidarpc::internals::container::{CodedFrame, Section, SectionKind};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scanner::hdl64::fit;
@@ -231,6 +235,14 @@ fn several_scanners_in_one_folder() {
         })
         .collect();
     round_trip(&files, &gop(4));
+    let (_, groups) = take_apart(&encode_files(&files, &gop(4)));
+    let frames = || groups.iter().flat_map(|group| &group.frames);
+    let tracks = [0, 1].map(|scanner| {
+        let is_its = |frame: &&CodedFrame| frame.header.name.ends_with(&format!("-{scanner}.bin"));
+        frames().filter(is_its).map(|frame| frame.header.stamp.track).collect::<BTreeSet<_>>()
+    });
+    // The scans of these two scanners are on different tracks.
+    assert!(tracks.iter().all(|tracks| tracks.len() == 1) && tracks[0] != tracks[1], "{tracks:?}");
 }
 
 #[test]

@@ -18,7 +18,7 @@ use common::formats::{
 use common::messages::cloud;
 use common::scans::{scans, small};
 use common::streams::{KNOWN, STREAMS};
-use common::{first_files, in_package, put_together};
+use common::{first_files, in_package, put_together, skip};
 use lidarpc::internals::backend::{BACKENDS, Backend, Level};
 use lidarpc::internals::container::ScannerRecord;
 use lidarpc::internals::files::parse;
@@ -256,7 +256,7 @@ fn keep() {
 #[test]
 fn every_target_takes_what_the_fuzzer_has_gathered() {
     let Some(corpus) = std::env::var_os("LIDARPC_CORPUS").filter(|corpus| !corpus.is_empty()) else {
-        println!("skipped: LIDARPC_CORPUS names no corpus");
+        skip("LIDARPC_CORPUS names no corpus");
         return;
     };
     for (target, run) in TARGETS {

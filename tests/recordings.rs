@@ -263,7 +263,13 @@ fn what_is_damaged_is_left_out_and_said_and_the_rest_is_taken() {
         ("in the middle of a record", whole[..whole.len() - 1].to_vec(), 0),
         ("in the middle of a record", whole[..data_end + 13].to_vec(), 0),
         ("records after the end of its data", with(&[&whole[..data_end + 13], &message, &whole]), 0),
+        (
+            "records after the end of its data",
+            with(&[&whole[..data_end + 13], &record(200, b"x"), &whole]),
+            0,
+        ),
         ("channel 99, which does not exist", with(&[before, &message, after]), 0),
+        ("a record is of kind 16", with(&[before, &record(16, b"new"), after]), 0),
         ("a schema has the number 0", with(&[before, &schema, after]), 0),
         ("channel 98 has schema 97", with(&[before, &channel, after]), 0),
         ("two schemas of number 3", with(&[&whole[..data_end], &other_schema, &whole[data_end..]]), 0),

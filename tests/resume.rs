@@ -166,6 +166,21 @@ fn drives_of_a_tree_and_files_beside_them_go_on_too() {
 }
 
 #[test]
+fn scans_of_two_scanners_in_turn_go_on_too() {
+    let drives = [3, 8].map(|seed| scans(&small(seed, 3)));
+    let name = |frame: usize, scanner: usize| format!("{frame}-{scanner}.bin");
+    let files: Vec<Scan> = (0..6).map(|n| (name(n / 2, n % 2), kitti(&drives[n % 2][n / 2]))).collect();
+    let whole = encode_files(&files, &exact());
+    let tracks = take_apart(&whole).1.iter().map(|group| group.scanners.len()).max();
+    assert_eq!(tracks, Some(2));
+    let (stream, journal) = Partial::complete(&files, &exact()).contents();
+    for (groups, end) in (1..).zip(ends(&journal)) {
+        let taken = Partial::with(&stream[..end], &journal).becomes(&whole, &files, &exact());
+        assert_eq!(taken, 2 * groups);
+    }
+}
+
+#[test]
 fn wherever_the_journal_was_cut_the_stream_is_the_same() {
     let whole = encode_files(&FILES, &exact());
     let (stream, journal) = Partial::complete(&FILES, &exact()).contents();

@@ -6,6 +6,8 @@ use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
+use crate::common::skip;
+
 /// Streams whose frames take it more than a few seconds; only the first two are decoded.
 const SLOW: [&str; 1] = ["exact-deep-p-frames"];
 /// The exit status by which it reports that a stream needs an unsupported feature.
@@ -18,7 +20,7 @@ fn golden_streams_decode_to_the_same_files() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let python = Command::new("python3").arg("--version").output();
     if !python.is_ok_and(|python| python.status.success()) {
-        eprintln!("skipped: there is no python3, so the second decoder was not run");
+        skip("there is no python3, so the second decoder was not run");
         return;
     }
     let entries = fs::read_dir(root.join("testdata/golden")).unwrap();

@@ -197,6 +197,8 @@ fn frames_are_numbered_without_the_files_beside() {
     let names: Vec<_> = tree(&bench.path("some")).into_keys().filter(|name| name.ends_with(".bin")).collect();
     assert_eq!(names, ["velodyne_points/data/0000000010.bin", "velodyne_points/data/0000000011.bin"]);
     assert_eq!(tree(&bench.path("some")).len(), 4, "the folders above them");
+    let report = bench.json("decode one.lpc -o counted --frames 10.. --json");
+    assert_eq!((&report["frames"], &report["files_beside"]), (&2.into(), &0.into()));
     bench.ok("decode one.lpc -o kept --frames 10.. --keep-going");
     assert_eq!(tree(&bench.path("kept")), tree(&bench.path("some")));
     bench.fails("decode one.lpc -o none --frames 12", "one.lpc");
@@ -208,6 +210,31 @@ fn frames_are_numbered_without_the_files_beside() {
     bench.ok("verify both.lpc");
     let error = bench.fails("cat one.lpc two.lpc -o wrong.lpc", "wrong.lpc");
     assert!(error.contains("give it last"), "{error}");
+}
+
+#[test]
+fn streams_appended_to_one_another_are_saved_whole() {
+    let bench = drives();
+    bench.ok("encode tree/a/drive_1 -o one.lpc --all");
+    bench.ok("encode tree/b/drive_2 -o two.lpc");
+    bench.ok("cat two.lpc one.lpc -o both.lpc");
+    bench.ok("decode both.lpc -o all");
+    let (one, two) = (bench.read("one.lpc"), bench.read("two.lpc"));
+    // A file beside the scans before other scans, and groups that occur twice.
+    let appended =
+        [[&one[..], &two].concat(), [&one[..], &two, &one].concat(), [&two[..], &two, &one].concat()];
+    for (n, bytes) in appended.into_iter().enumerate() {
+        let saved = |command: &str| {
+            let output = bench.command(command).output().unwrap();
+            assert_eq!(output.status.code(), Some(3), "{}", String::from_utf8_lossy(&output.stderr));
+        };
+        bench.write_files(".", &[("appended.lpc".to_owned(), bytes)].into());
+        saved(&format!("decode appended.lpc -o kept-{n} --keep-going"));
+        assert_eq!(tree(&bench.path(&format!("kept-{n}"))), tree(&bench.path("all")));
+        saved(&format!("repair appended.lpc -o repaired-{n}.lpc"));
+        bench.ok(&format!("decode repaired-{n}.lpc -o repaired-{n}"));
+        assert_eq!(tree(&bench.path(&format!("repaired-{n}"))), tree(&bench.path("all")));
+    }
 }
 
 #[test]

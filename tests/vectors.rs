@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::common::skip;
 use lidarpc::internals::backend::{by_name, decompress};
 
 /// Residuals as of a range image: mostly small, some large, zigzag, 16 bits little-endian.
@@ -47,7 +48,7 @@ fn files_of_the_reference_programs_are_read() {
 fn files_beside_the_project_are_read() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/vectors");
     let Ok(original) = fs::read(folder.join("residual_u16le.bin")) else {
-        println!("skipped: there is no {}", folder.display());
+        skip(format!("there is no {}", folder.display()));
         return;
     };
     let files = coded_files(&folder);

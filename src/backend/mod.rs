@@ -110,6 +110,29 @@ pub use lzma::compress_hardest;
 pub use packing::Packing;
 pub use zstd::compress_quickly;
 
+/// The smallest fraction of zstd's size that LZMA achieves, except if repetitions lie far apart.
+pub const LZMA_GAIN: f64 = 0.5;
+
+/// The level from which on LZMA is tried where zstd is: the first level above 3. Models have no levels 4 and 5, so in
+/// effect 6.
+pub const LZMA_LEVEL: u8 = 4;
+
+/// The shorter of what zstd and LZMA make of bytes, with the number of the back-end. LZMA takes long: it is tried only from
+/// [`LZMA_LEVEL`] on, and if `is_worth` says so, given the size that zstd achieves.
+///
+/// # Errors
+/// If a library fails.
+pub fn shortest(bytes: &[u8], level: Level, is_worth: impl FnOnce(usize) -> bool) -> Result<(u8, Vec<u8>)> {
+    let quick = compress_quickly(bytes)?;
+    if level.number() >= LZMA_LEVEL && is_worth(quick.len()) {
+        let hardest = compress_hardest(bytes)?;
+        if hardest.len() < quick.len() {
+            return Ok((LZMA, hardest));
+        }
+    }
+    Ok((ZSTD, quick))
+}
+
 /// Effort: 1 is fastest, 9 gives the smallest result. Each coder maps it to a scale of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Level(u8);

@@ -286,10 +286,10 @@ pub struct DecodeArgs {
     #[arg(short, long, value_name = "FOLDER")]
     pub output: Option<PathBuf>,
     /// Frames to decode, counted from 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
-    #[arg(long, value_name = "RANGE")]
+    #[arg(long, allow_negative_numbers = true, value_name = "RANGE")]
     pub frames: Option<FrameRange>,
     /// Frames to decode, by time since the first frame: `12s..15s` (without 15 s), `1m30s..`, `..0.5`.
-    #[arg(long, value_name = "RANGE", conflicts_with = "frames")]
+    #[arg(long, allow_negative_numbers = true, value_name = "RANGE", conflicts_with = "frames")]
     pub time: Option<TimeRange>,
     /// Decode the intact groups of frames of a damaged file, report which frames are lost, and exit with 3 if any
     /// are.
@@ -411,10 +411,10 @@ pub struct CutArgs {
     #[arg(value_name = "FILE")]
     pub input: PathBuf,
     /// Frames to copy, counted from 0: `5`, `10..20` (without 20), `10..=20`, `10..`, `..20`.
-    #[arg(long, value_name = "RANGE", required_unless_present = "time")]
+    #[arg(long, allow_negative_numbers = true, value_name = "RANGE", required_unless_present = "time")]
     pub frames: Option<FrameRange>,
     /// Frames to copy, by time since the first frame: `12s..15s` (without 15 s), `1m30s..`, `..0.5`.
-    #[arg(long, value_name = "RANGE", conflicts_with = "frames")]
+    #[arg(long, allow_negative_numbers = true, value_name = "RANGE", conflicts_with = "frames")]
     pub time: Option<TimeRange>,
     /// File to write; `-` for stdout.
     #[arg(short, long, value_name = "FILE")]

@@ -9,7 +9,7 @@ use std::time::Instant;
 use crate::container::{IndexedReader, Unit};
 use crate::edit::{self, Recovered};
 use crate::files::sequence::STREAM_EXTENSION;
-use crate::files::{FileFormat, Give, convert};
+use crate::files::{FileFormat, Give, convert, is_convertible};
 use crate::ground::error::{Error, Limits};
 use crate::scan::ScanFile;
 use crate::stream::{DecodeOptions, DecodedFrame, FrameRange};
@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use super::args::{DecodeArgs, FormatArg};
 use super::errors::{about, say, wrong_usage};
-use super::input::{Input, check_stdin_once, is_dash, name_of, open};
+use super::input::{Input, check_stdin_once, is_dash, is_pipe, name_of, open};
 use super::losses::{LossReport, Losses};
 use super::output::{FolderOutput, check_json, print_json};
 use super::time_range::TimeRange;
@@ -76,7 +76,7 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
         if !others.is_empty() {
             wrong_usage("decode", "stdout takes one frame, and so a single file");
         }
-        return to_stdout(args, first, &options, &converter);
+        return to_stdout(args, first, &options, &converter, quiet);
     }
     to_folder(args, &options, &converter, quiet)
 }
@@ -84,16 +84,16 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
 /// Decodes the inputs into a folder, and reports.
 fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, quiet: bool) -> Result<()> {
     let start = Instant::now();
-    // Opened before any output is created.
-    let inputs: Vec<Input> = args.inputs.iter().map(|path| open(path)).collect::<Result<_>>()?;
+    // Before any output is created. Only one input is open at a time, as the system limits their number.
+    let counts = args.inputs.iter().map(|path| frame_count(path, options.limits));
+    let total = counts.sum::<Result<Option<u64>>>()?.map(|total| options.frames.count_of(total));
     let folder = FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs);
-    let counts = inputs.iter().map(|input| input.frame_count(options.limits));
-    let total = counts.sum::<Option<u64>>().map(|total| options.frames.count_of(total));
     let bar = progress::bar(total, "decoding", quiet);
-    let (mut bytes, mut beside) = (0, 0);
+    let (mut files, mut bytes, mut beside) = (0, 0, 0);
     let mut all_losses = Vec::new();
-    for (path, input) in args.inputs.iter().zip(inputs) {
-        let before = bar.position();
+    for path in &args.inputs {
+        let input = open(path)?;
+        let before = files;
         let mut losses = Losses::new(path);
         let write = |frame: DecodedFrame| {
             let is_beside = frame.header.stamp.unit == Unit::Beside;
@@ -102,6 +102,7 @@ fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, 
         };
         let count = |(file_bytes, is_beside): (u64, bool)| {
             bar.inc(1);
+            files += 1;
             bytes += file_bytes;
             beside += u64::from(is_beside);
             Ok(())
@@ -110,14 +111,14 @@ fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, 
             bar.finish_and_clear();
             about(error, &name_of(path))
         })?;
-        all_losses.push((losses, bar.position() - before));
+        all_losses.push((losses, files - before));
     }
     bar.finish_and_clear();
     folder.finish()?;
     converter.tell(quiet);
     let report = Report {
         folder: args.output().display().to_string(),
-        frames: bar.position() - beside,
+        frames: files - beside,
         files_beside: beside,
         file_bytes: bytes,
         lost: all_losses.iter().map(|(losses, _)| losses.report()).collect(),
@@ -132,6 +133,17 @@ fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, 
     let Some(error) = damaged.next() else { return Ok(()) };
     damaged.for_each(|error| say(&error));
     Err(error)
+}
+
+/// The number of frames in a stream, if it can be determined without decoding.
+///
+/// # Errors
+/// If the stream cannot be opened.
+fn frame_count(path: &Path, limits: Limits) -> Result<Option<u64>> {
+    if is_dash(path) || is_pipe(path) {
+        return Ok(None);
+    }
+    Ok(open(path)?.frame_count(limits))
 }
 
 /// The output, or by default a folder beside the input, with its name.
@@ -191,7 +203,13 @@ fn decode<T: Send>(
 }
 
 /// Writes the single selected frame to stdout.
-fn to_stdout(args: &DecodeArgs, path: &Path, options: &DecodeOptions, converter: &Converter) -> Result<()> {
+fn to_stdout(
+    args: &DecodeArgs,
+    path: &Path,
+    options: &DecodeOptions,
+    converter: &Converter,
+    quiet: bool,
+) -> Result<()> {
     let input = open(path)?;
     let mut only: Option<DecodedFrame> = None;
     let mut losses = Losses::new(path);
@@ -206,7 +224,7 @@ fn to_stdout(args: &DecodeArgs, path: &Path, options: &DecodeOptions, converter:
     let mut stdout = io::stdout().lock();
     let written = file.write(&mut |piece| Ok(stdout.write_all(piece)?));
     written.and_then(|()| Ok(stdout.flush()?)).context("stdout")?;
-    converter.tell(false);
+    converter.tell(quiet);
     losses.check(1)
 }
 
@@ -275,7 +293,7 @@ impl Converter {
         };
         let frame = frame.checked()?;
         let name = frame.header.name.clone();
-        let file = if frame.scan.layout.position.is_none() {
+        let file = if !is_convertible(&frame.scan) {
             let mut pointless = self.pointless.lock().unwrap_or_else(PoisonError::into_inner);
             pointless.0 += 1;
             pointless.1.get_or_insert_with(|| name.clone());

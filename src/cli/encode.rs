@@ -60,8 +60,8 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     };
     let seconds = start.elapsed().as_secs_f64();
     if args.verbose {
-        for (frame, steps) in encoded.frames.iter().zip(&encoded.frame_steps) {
-            let (name, original, coded) = (frame.name.escape_debug(), steps.original, steps.coded());
+        for (frame, stages) in encoded.frames.iter().zip(&encoded.frame_stages) {
+            let (name, original, coded) = (frame.name.escape_debug(), stages.original, stages.coded());
             let share = table::percent(metrics::ratio(original, coded));
             eprintln!("{name}: {} -> {} ({share})", table::bytes(original), table::bytes(coded));
         }

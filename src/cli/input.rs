@@ -93,6 +93,18 @@ pub fn is_dash(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
 
+/// Whether the path is that of a pipe, which can be read only once: `<(command)` of a shell, for example.
+pub fn is_pipe(path: &Path) -> bool {
+    path.metadata().is_ok_and(|kind| !kind.is_file() && !kind.is_dir())
+}
+
+/// The first bytes of a file; `None` if it does not exist, is too short, or can be read only once.
+pub fn first_bytes<const N: usize>(path: &Path) -> Option<[u8; N]> {
+    let mut start = [0; N];
+    let is_file = path.metadata().is_ok_and(|kind| kind.is_file());
+    is_file.then(|| File::open(path)?.read_exact(&mut start)).and_then(io::Result::ok).map(|()| start)
+}
+
 /// The name of an input in messages.
 pub fn name_of(path: &Path) -> String {
     if is_dash(path) { "stdin".to_owned() } else { path.display().to_string() }

@@ -114,6 +114,7 @@ pub fn decode(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter,
     if let Some(folder) = folder {
         folder.finish()?;
     }
+    converter.tell(quiet);
     sizes.report(args.json, quiet, name_of(args.output()), None, start)
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Read, Write};
+use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -20,17 +20,16 @@ use serde::Serialize;
 use super::args::{DecodeArgs, EncodeArgs, FormatArg, StatsArgs};
 use super::encode::{self, FidelityReport};
 use super::errors::{NotWhole, about, wrong_usage};
-use super::input::is_dash;
+use super::input::{first_bytes, is_dash};
 use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
 use super::{progress, table};
 
-/// Whether a file is a recording: by its first bytes, or, if it does not exist yet, by its name.
+/// Whether a file is a recording: by its first bytes, or, if it does not exist yet or cannot be read twice, by its name.
 pub fn is_recording(path: &Path) -> bool {
-    const MAGIC: &[u8] = b"\x89MCAP0\r\n";
-    let mut start = [0; MAGIC.len()];
-    match File::open(path).and_then(|mut file| file.read_exact(&mut start)) {
-        Ok(()) => start == MAGIC,
-        Err(_) => is_named_so(path),
+    const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+    match first_bytes(path) {
+        Some(start) => start == *MAGIC,
+        None => is_named_so(path),
     }
 }
 
@@ -114,6 +113,9 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     })?;
     bar.finish_and_clear();
     check_topics(input, &args.topic, &copied.topics)?;
+    if args.strict {
+        check_whole(input, copied.damage.as_deref())?;
+    }
     if args.verify {
         verify(input, &output, &copied, args.threads.threads)?;
     }
@@ -146,6 +148,15 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
     let encoded = encoded.map_err(|error| about(error, &name))?;
     let (damage, left_out) = (clouds.damage(), clouds.left_out);
     check_topics(input, &args.topic, &clouds.topics)?;
+    if args.strict {
+        check_whole(input, damage.as_deref())?;
+        ensure!(
+            left_out == 0,
+            "{}: holds what would not come back: {}; give -o FILE.mcap, or encode without --strict",
+            input.display(),
+            table::count(left_out, "message")
+        );
+    }
     let none = damage.as_ref().map_or(String::new(), |damage| format!(" ({damage})"));
     ensure!(!encoded.frames.is_empty(), "{}: holds no cloud that can be encoded{none}", input.display());
     output.finish().map_err(|error| about(error, &name))?;

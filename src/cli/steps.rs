@@ -3,7 +3,7 @@
 use std::io::{self, BufReader, Read, Write};
 
 use crate::files::sequence::find_frames;
-use crate::frame::{EncoderConfig, ProjectionKind, Step, StepReport};
+use crate::frame::{EncoderConfig, ProjectionKind, Stage, StageReport};
 use crate::scanner::FLOAT_RANGES;
 use crate::stream::{self, DecodeOptions, DecodedFrame, FrameInput};
 use anyhow::Result;
@@ -93,25 +93,25 @@ fn decode(
     input: impl Read + Send,
     args: &StatsArgs,
     quiet: bool,
-) -> crate::ground::error::Result<StepReport> {
+) -> crate::ground::error::Result<StageReport> {
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
         ..DecodeOptions::default()
     };
     let bar = progress::bar(None, "decoding", quiet);
-    let mut steps = StepReport::default();
+    let mut stages = StageReport::default();
     let decoded = stream::decode(BufReader::new(input), &options, DecodedFrame::checked, |frame| {
         bar.inc(1);
-        steps.add(&frame.steps);
+        stages.add(&frame.stages);
         Ok(())
     });
     bar.finish_and_clear();
-    decoded.map(|_| steps)
+    decoded.map(|_| stages)
 }
 
 impl Bytes {
-    fn of(report: &StepReport) -> Self {
+    fn of(report: &StageReport) -> Self {
         let mean = |bytes: u64| bytes as f64 / report.frames.max(1) as f64;
         Bytes {
             original: mean(report.original),
@@ -140,10 +140,10 @@ impl Bytes {
 }
 
 impl Times {
-    fn of(report: &StepReport) -> Self {
+    fn of(report: &StageReport) -> Self {
         let mean = |seconds: f64| seconds / report.frames.max(1) as f64;
         Times {
-            steps: Step::ALL
+            steps: Stage::ALL
                 .iter()
                 .map(|step| (step.name(), mean(report.time(*step).as_secs_f64())))
                 .collect(),

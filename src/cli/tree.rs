@@ -20,6 +20,7 @@ use super::args::{DecodeArgs, EncodeArgs};
 use super::encode::{LeftOutReport, Report, encode_whole, remove, summary};
 use super::errors::{NotWhole, say, wrong_usage};
 use super::frames::{self, Found};
+use super::input::is_pipe;
 use super::output::{parent, print_json};
 use super::{decode, in_memory, progress, table};
 
@@ -267,6 +268,7 @@ fn streams_below(folder: &Path) -> Result<Vec<PathBuf>> {
                 open.push(path);
             } else if path.extension().is_some_and(|ending| ending == STREAM_EXTENSION)
                 && in_memory::is_stream(&path)
+                && !is_pipe(&path)
             {
                 streams.push(path);
             }

@@ -1,12 +1,11 @@
 //! Joins streams into one, copying their groups as they are.
 
-use std::collections::HashMap;
-use std::collections::hash_map::Entry;
 use std::io::{Read, Write};
 use std::path::PathBuf;
 
 use super::copier::{GroupCopier, Named};
 use crate::container::StreamReader;
+use crate::files::names::{FileNames, NameConflict};
 use crate::ground::error::{Error, Result};
 use crate::stream::options::FrameRange;
 use crate::stream::source::{GroupJob, StreamedGroups};
@@ -26,20 +25,20 @@ pub struct Joined {
 /// names of all frames, are in memory.
 ///
 /// # Errors
-/// Naming the stream: if it cannot be read or is damaged, or if it holds a frame with the same name as an
-/// earlier one, which no decoder could write into the same folder. Without a name: if the output fails. The
+/// Naming the stream: if it cannot be read or is damaged, or if it holds a frame that no decoder could write into the
+/// same folder as the earlier ones, because of its name. Without a name: if the output fails. The
 /// output is not a complete stream then.
 pub fn cat<R: Read>(
     inputs: impl IntoIterator<Item = Result<Named<StreamReader<R>>>>,
     out: impl Write,
 ) -> Result<Joined> {
     let mut copier = GroupCopier::create(out)?;
-    let (mut names, mut joined) = (Names::default(), Joined::default());
+    let (mut known, mut joined) = (Known::default(), Joined::default());
     for input in inputs {
         let Named { path, stream } = input?;
-        names.paths.push(path.clone());
+        known.paths.push(path.clone());
         for job in StreamedGroups::new(stream, FrameRange::default()) {
-            let job = job.and_then(|job| names.check(&job).map(|()| job)).map_err(|e| e.at(&path))?;
+            let job = job.and_then(|job| known.add(&job).map(|()| job)).map_err(|e| e.at(&path))?;
             joined.frames += job.group.frames.len() as u64;
             copier.write(&job)?;
         }
@@ -49,34 +48,36 @@ pub fn cat<R: Read>(
     Ok(joined)
 }
 
-/// The names of the frames so far.
+/// The streams so far, and the names of their frames.
 #[derive(Default)]
-struct Names {
+struct Known {
     /// The paths of the streams.
     paths: Vec<PathBuf>,
-    /// For each name, the index of its stream and the frame's number there.
-    places: HashMap<String, (usize, u64)>,
+    /// The names, each with the index of its stream and the frame's number there.
+    names: FileNames<(usize, u64)>,
 }
 
-impl Names {
-    /// Adds the names of a group of the last stream, if they are new.
-    fn check(&mut self, job: &GroupJob) -> Result<()> {
+impl Known {
+    /// Adds the names of a group of the last stream.
+    ///
+    /// # Errors
+    /// If no decoder could write one of the files beside those before.
+    fn add(&mut self, job: &GroupJob) -> Result<()> {
         let stream = self.paths.len() - 1;
         // Points in memory need no name, and empty names do not conflict.
         let frames = (job.first_frame..).zip(&job.group.frames);
         for (number, frame) in frames.filter(|(_, frame)| !frame.header.name.is_empty()) {
-            match self.places.entry(frame.header.name.clone()) {
-                Entry::Vacant(free) => drop(free.insert((stream, number))),
-                Entry::Occupied(taken) => {
-                    let (other, first) = *taken.get();
-                    let (name, other) = (&frame.header.name, self.paths[other].display());
-                    let what = format!(
-                        "frame {number} ({name:?}) has the same name as frame {first} of {other}; \
-                         leave one out by `lidarpc cut`, or keep the streams apart"
-                    );
-                    return Err(Error::Usage(what));
+            let name = &frame.header.name;
+            let conflict = match self.names.add(name, (stream, number)) {
+                Ok(()) => continue,
+                Err(NameConflict::SameName((other, first))) => {
+                    format!("has the same name as frame {first} of {}", self.paths[other].display())
                 }
-            }
+                Err(NameConflict::FileAndFolder) => "needs a file and a folder of one name".to_owned(),
+            };
+            return Err(Error::Usage(format!(
+                "frame {number} ({name:?}) {conflict}; leave one out by `lidarpc cut`, or keep the streams apart"
+            )));
         }
         Ok(())
     }

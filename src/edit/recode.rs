@@ -3,10 +3,10 @@
 //! sections rather than from points, so that lossy frames lose nothing further. The output of an image coder
 //! is copied unchanged.
 
-use crate::container::{CodedFrame, allowance, pay_for};
+use crate::container::{CodedFrame, pay_for};
+use crate::frame::group::decode_parts;
 use crate::frame::parameters::Prediction;
-use crate::frame::parts::FrameParts;
-use crate::frame::sections::{Effort, SectionReader, SectionWriter};
+use crate::frame::sections::{Effort, SectionWriter};
 use crate::frame::syntax::Models;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
@@ -51,11 +51,7 @@ impl Recoder<'_> {
     /// depend on them.
     fn recode(&mut self, coded: CodedFrame, wanted: bool) -> Result<Option<CodedFrame>> {
         let CodedFrame { header, sections } = coded;
-        let mut frame = FrameParts::of_records(header.point_count as usize);
-        let limits = self.limits.at_most(allowance(&sections));
-        let mut reader = SectionReader::new(&sections, &limits);
-        self.old.code_frame(&mut reader, self.scanner, &mut frame)?;
-        reader.finish()?;
+        let (mut frame, _) = decode_parts(&mut self.old, self.scanner, &header, &sections, self.limits)?;
         if !wanted {
             return Ok(None);
         }

@@ -1,5 +1,6 @@
 //! Recovers the intact parts of a damaged stream: as frames, or as groups of a new stream.
 
+use std::collections::HashSet;
 use std::io::{Read, Seek, Write};
 use std::ops::Range;
 
@@ -51,7 +52,7 @@ pub fn recover(
 }
 
 /// Copies all intact groups of a damaged stream to a new one without decoding them; returns the number of
-/// frames. Losses are passed to `on_lost`.
+/// frames. Losses are passed to `on_lost`. Files beside the scans come last, wherever they are.
 ///
 /// # Errors
 /// Naming the input: if it fails, contains no record at all or has another version of the format. Without a
@@ -62,16 +63,24 @@ pub fn repair(
     out: impl Write,
     mut on_lost: impl FnMut(Lost),
 ) -> Result<u64> {
-    let Named { path, stream } = input;
-    let groups = RecoveredGroups::open(stream, limits, FrameRange::default()).map_err(|e| e.at(&path))?;
+    let Named { path, mut stream } = input;
     let mut copier = GroupCopier::create(out)?;
-    let mut frames = 0;
-    for part in groups {
-        match part.map_err(|e| e.at(&path))? {
-            Part::Lost(lost) => on_lost(lost),
-            Part::Group(_, job) => {
-                frames += job.group.frames.len() as u64;
-                copier.write(&job)?;
+    let (mut frames, mut has_beside) = (0, false);
+    for is_beside in [false, true] {
+        if is_beside && !has_beside {
+            break;
+        }
+        let groups = RecoveredGroups::open(&mut stream, limits, FrameRange::default());
+        for part in groups.map_err(|e| e.at(&path))? {
+            match part.map_err(|e| e.at(&path))? {
+                Part::Group(_, job) if job.group.is_beside() == is_beside => {
+                    frames += job.group.frames.len() as u64;
+                    copier.write(&job)?;
+                }
+                Part::Group(..) => has_beside = true,
+                // Told when they were first found.
+                Part::Lost(lost) if !is_beside => on_lost(lost),
+                Part::Lost(_) => {}
             }
         }
     }
@@ -86,23 +95,34 @@ enum Part {
     Lost(Lost),
 }
 
-/// The parts of a damaged stream that hold the requested frames.
+/// The parts of a damaged stream that hold the requested frames. Of a group that occurs twice, as where a stream was
+/// appended to itself, the first copy.
 struct RecoveredGroups<R> {
     reader: SalvageReader<R>,
     scanners: UsedScanners,
     range: FrameRange,
+    /// The files of each group so far: their names, sizes and checksums. Those without a name may repeat.
+    known: HashSet<Vec<(String, u64, u32)>>,
 }
 
 impl<R: Read + Seek> RecoveredGroups<R> {
     fn open(input: R, limits: &Limits, range: FrameRange) -> Result<Self> {
         let reader = SalvageReader::open(input, *limits)?;
-        Ok(RecoveredGroups { reader, scanners: UsedScanners::default(), range })
+        Ok(RecoveredGroups { reader, scanners: UsedScanners::default(), range, known: HashSet::new() })
+    }
+
+    /// Whether a group is a copy of an earlier one; if not, it counts as earlier from now on.
+    fn is_copy(&mut self, group: &Group) -> bool {
+        let files = group.frames.iter().map(|frame| &frame.header);
+        let files: Vec<_> = files.map(|file| (file.name.clone(), file.file_size, file.file_crc)).collect();
+        files.iter().any(|(name, ..)| !name.is_empty()) && !self.known.insert(files)
     }
 
     fn next_part(&mut self) -> Result<Option<Part>> {
         while let Some(part) = self.reader.next_part()? {
             let part = match part {
                 Salvaged::Lost(lost) => Part::Lost(lost),
+                Salvaged::Group { group, .. } if self.is_copy(&group) => continue,
                 Salvaged::Group { first_frame, bytes, group } => {
                     let read = |id| self.reader.scanner(id).cloned().ok_or_else(|| missing(id));
                     match self.scanners.of_group(&group, read) {

@@ -1,10 +1,10 @@
 //! Frames as they arrive: from a tar archive, or each after a line with its name and size.
 
-use std::collections::HashSet;
 use std::io::{BufReader, Chain, Cursor, Read};
 use std::path::PathBuf;
 
 use super::EXTENSIONS;
+use super::names::{FileNames, NameConflict};
 use super::sequence::{LeftOut, LeftOutKind};
 use super::tar::TarReader;
 use crate::ground::error::{Error, Limits, Result};
@@ -30,40 +30,10 @@ pub struct ArrivedFile {
 pub struct ArrivingFrames<R> {
     source: Source<R>,
     /// The names so far, since no decoder could write two files with one name; none if names may repeat.
-    names: Option<Names>,
+    names: Option<FileNames<()>>,
     /// Whether there was a frame so far.
     has_frames: bool,
     left_out: LeftOut,
-}
-
-/// The names of files that are decoded into one folder.
-#[derive(Default)]
-struct Names {
-    files: HashSet<String>,
-    folders: HashSet<String>,
-}
-
-impl Names {
-    /// Adds a name.
-    ///
-    /// # Errors
-    /// If no decoder could write the file beside those before: its name is taken, or a folder of its path is a file.
-    fn add(&mut self, name: &str) -> Result<()> {
-        if !self.files.insert(name.to_owned()) {
-            return Err(refuse(name, "arrives a second time; give each frame a name of its own"));
-        }
-        let folders = name.match_indices('/').map(|(end, _)| &name[..end]);
-        let is_both =
-            self.folders.contains(name) || folders.clone().any(|folder| self.files.contains(folder));
-        self.folders.extend(folders.map(str::to_owned));
-        if is_both {
-            return Err(refuse(
-                name,
-                "needs a file and a folder of one name; give each frame a name of its own",
-            ));
-        }
-        Ok(())
-    }
 }
 
 /// The input, including the bytes read to recognise its kind.
@@ -84,7 +54,7 @@ impl<R: Read> ArrivingFrames<R> {
         let source = Source::New(BufReader::new(input));
         ArrivingFrames {
             source,
-            names: Some(Names::default()),
+            names: Some(FileNames::default()),
             has_frames: false,
             left_out: LeftOut::default(),
         }
@@ -119,10 +89,13 @@ impl<R: Read> ArrivingFrames<R> {
         };
         let Some(file) = file else { return Ok(None) };
         self.has_frames = true;
-        if let Some(names) = &mut self.names {
-            names.add(&file.name)?;
-        }
-        Ok(Some(file))
+        let conflict = self.names.as_mut().and_then(|names| names.add(&file.name, ()).err());
+        let what = match conflict {
+            None => return Ok(Some(file)),
+            Some(NameConflict::SameName(())) => "arrives a second time",
+            Some(NameConflict::FileAndFolder) => "needs a file and a folder of one name",
+        };
+        Err(refuse(&file.name, format!("{what}; give each frame a name of its own")))
     }
 
     /// An archive without scans is an error, like a folder without scans.
@@ -199,7 +172,7 @@ fn next_of_lines(input: &mut impl Read) -> Result<Option<ArrivedFile>> {
 /// Reads the bytes of a file. Memory grows with the bytes that arrive.
 pub(super) fn read_file(input: &mut impl Read, name: &str, size: u64) -> Result<Vec<u8>> {
     let max = Limits::default().file_bytes;
-    Error::check_limit("bytes of a file", size, max).map_err(|e| e.at(name))?;
+    Error::check_fits("bytes", size, max).map_err(|e| e.at(name))?;
     let mut bytes = Vec::new();
     if input.by_ref().take(size).read_to_end(&mut bytes)? as u64 != size {
         return Err(cut_short(name));

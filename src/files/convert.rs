@@ -87,6 +87,11 @@ impl FileFormat {
     }
 }
 
+/// Whether a scan holds points that can be converted to some format.
+pub fn is_convertible(scan: &ScanFile) -> bool {
+    columns::of_scan(scan).is_some()
+}
+
 /// The scan as a file of another format: `to_bytes` of the result gives its bytes. Points keep their order
 /// and every bit of their coordinates, except for the payloads of NaN in text. x, y and z come first, then
 /// the intensity, then the other named fields with their types; each value of a field with several values

@@ -35,13 +35,14 @@ mod widened;
 
 #[cfg(feature = "cli")]
 pub use arrival::{ArrivedFile, ArrivingFrames};
-pub use convert::{FileFormat, convert};
+pub use convert::{FileFormat, convert, is_convertible};
 pub use headerless::HeaderlessLayout;
 pub use point_count::with_point_count;
 
 pub use records::MOST_INTENSITY;
 
 use self::table::Table;
+use self::text_records::TextWriter;
 use crate::ground::error::Result;
 use crate::scan::{Field, Layout, ScanFile, Wrapping};
 
@@ -219,7 +220,8 @@ fn comes_back_as(file: &ScanFile, bytes: &[u8]) -> bool {
     file.to_bytes().is_ok_and(|written| written == bytes)
 }
 
-/// Passes the bytes of a file to `give`, piece by piece.
+/// Passes the bytes of a file to `give`, piece by piece. A piece of text is small, even if the text of all records
+/// would be many times their size.
 ///
 /// # Errors
 /// [`Error::Corrupt`](crate::ground::error::Error::Corrupt) if the points do not match the layout, which a
@@ -228,23 +230,26 @@ pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Resu
     records::check(file)?;
     give(&file.prefix)?;
     match &file.layout.wrapping {
-        Wrapping::Plain => records::give(file, &mut give)?,
+        Wrapping::Plain => records::give(file, |block| give(block))?,
         Wrapping::PcdCompressed { lzf } => {
             give(&pcd_compressed::write(&records::join(file)?, &file.layout, *lzf)?)?;
         }
-        Wrapping::Text(format) => give(&text_records::write(&records::join(file)?, format)?)?,
-        Wrapping::Widened(fields) => give(&widened::write(&records::join(file)?, &file.layout, fields)?)?,
+        Wrapping::Text(format) => {
+            let mut text = TextWriter::new(format);
+            records::give(file, |block| give(text.lines(block)?))?;
+        }
+        Wrapping::Widened(fields) => {
+            records::give(file, |block| give(&widened::write(block, &file.layout, fields)?))?;
+        }
         Wrapping::ByField(fields) => give(&by_field::write(&records::join(file)?, &file.layout, fields)?)?,
-        Wrapping::Scaled(axes) => {
-            let mut body = records::join(file)?;
-            scaled::to_steps(&mut body, &file.layout, axes);
-            give(&body)?;
-        }
-        Wrapping::BigEndian => {
-            let mut body = records::join(file)?;
-            big_endian::swap(&mut body, &file.layout);
-            give(&body)?;
-        }
+        Wrapping::Scaled(axes) => records::give(file, |block| {
+            scaled::to_steps(block, &file.layout, axes);
+            give(block)
+        })?,
+        Wrapping::BigEndian => records::give(file, |block| {
+            big_endian::swap(block, &file.layout);
+            give(block)
+        })?,
     }
     give(&file.suffix)
 }

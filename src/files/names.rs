@@ -1,6 +1,7 @@
 //! Names of files: their order, and which names can be restored on every system.
 
 use std::cmp::Ordering;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use crate::ground::error::{Error, Result};
@@ -34,8 +35,8 @@ fn natural_key(name: &str) -> impl Iterator<Item = (u8, usize, &[u8])> {
     })
 }
 
-/// True if a path from a stream can be created below any folder without leaving it and without a special
-/// meaning on any system. It is one or several names with `/` between them, of 4,095 bytes at most together.
+/// True if a path from a stream can be created below any folder without leaving it, and means no device or drive on any
+/// system. (Windows cannot have some other names, such as `13:02.bin`.) It is one or several names with `/` between them, of 4,095 bytes at most together.
 /// Each name has 1 to 255 bytes; it is not `.` or `..`, nor one of Windows' device names (`NUL`, `COM1.bin`)
 /// or drives (`C:x`); and it has no backslash, no control characters, and no dot or space at its end.
 pub fn is_safe_path(path: &str) -> bool {
@@ -55,6 +56,7 @@ fn fault_of_name(name: &str) -> Option<&'static str> {
     let has_drive = matches!(name.as_bytes(), [letter, b':', ..] if letter.is_ascii_alphabetic());
     let faults = [
         (name.is_empty(), "is empty"),
+        (matches!(name, "." | ".."), "has `.` or `..` in place of a folder"),
         (name.len() > MAX_NAME, "is longer than 255 bytes"),
         (name.contains(['/', '\\']), "holds a slash or backslash"),
         (name.contains(char::is_control), "holds a control character"),
@@ -77,6 +79,52 @@ pub(crate) fn check_name(path: &Path, name: &str) -> Result<()> {
             let what = format!("has a name that not every system can restore: it {fault}; rename the file");
             Err(Error::Input { path: path.to_owned(), what })
         }
+    }
+}
+
+/// The names of files that are to be written below one folder, each with something to know it by.
+#[derive(Debug)]
+pub struct FileNames<T> {
+    files: HashMap<String, T>,
+    /// The folders that contain them.
+    folders: HashSet<String>,
+}
+
+/// Why a file cannot lie beside the others.
+#[derive(Debug, PartialEq, Eq)]
+pub enum NameConflict<T> {
+    /// This one has its name.
+    SameName(T),
+    /// Its name is that of the folder of another file, or the other way round.
+    FileAndFolder,
+}
+
+impl<T> Default for FileNames<T> {
+    fn default() -> Self {
+        FileNames { files: HashMap::new(), folders: HashSet::new() }
+    }
+}
+
+impl<T: Copy> FileNames<T> {
+    /// Adds a name.
+    ///
+    /// # Errors
+    /// If the file cannot be written beside those before.
+    pub fn add(&mut self, name: &str, file: T) -> Result<(), NameConflict<T>> {
+        if let Some(other) = self.files.get(name) {
+            return Err(NameConflict::SameName(*other));
+        }
+        let folders = name.match_indices('/').map(|(end, _)| &name[..end]);
+        if self.folders.contains(name) || folders.clone().any(|folder| self.files.contains_key(folder)) {
+            return Err(NameConflict::FileAndFolder);
+        }
+        for folder in folders {
+            if !self.folders.contains(folder) {
+                self.folders.insert(folder.to_owned());
+            }
+        }
+        self.files.insert(name.to_owned(), file);
+        Ok(())
     }
 }
 
@@ -198,6 +246,20 @@ mod tests {
         for path in ["a.bin", "2011_09_26/drive_1/velodyne_points/data/0.bin", "a/.hidden/b", &deep] {
             assert!(is_safe_path(path), "{path:?}");
         }
+    }
+
+    #[test]
+    fn names_that_exclude_each_other_are_found() {
+        let mut names = FileNames::default();
+        for (number, name) in ["a/1.bin", "a/2.bin", "b/c/1.bin", "b/1.bin", "1.bin"].into_iter().enumerate()
+        {
+            assert_eq!(names.add(name, number), Ok(()), "{name}");
+        }
+        assert_eq!(names.add("a/2.bin", 9), Err(NameConflict::SameName(1)));
+        for name in ["a", "b/c", "1.bin/x", "b/c/1.bin/x/y"] {
+            assert_eq!(names.add(name, 9), Err(NameConflict::FileAndFolder), "{name}");
+        }
+        assert_eq!(names.add("c", 9), Ok(()));
     }
 
     proptest! {

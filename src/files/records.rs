@@ -141,12 +141,12 @@ pub(super) fn copy_values(
     }
 }
 
-/// Passes the records of `file` to `give`, a block of records at a time: the inverse of [`split`]. The file
-/// must have passed [`check`].
+/// Passes the records of `file` to `give`, which may change them, a block of records at a time: the inverse of [`split`].
+/// The file must have passed [`check`].
 ///
 /// # Errors
 /// Those of `give`.
-pub(super) fn give(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+pub(super) fn give(file: &ScanFile, mut give: impl FnMut(&mut [u8]) -> Result<()>) -> Result<()> {
     /// Bytes per block. A block should stay in the cache while its fields are filled in one after the other
     /// and then read again.
     const AT_ONCE: usize = 64 << 10;
@@ -164,7 +164,7 @@ pub(super) fn give(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -
 
 /// As [`give`], in one piece.
 pub(super) fn join(file: &ScanFile) -> Result<Vec<u8>> {
-    collected(|out| give(file, out))
+    collected(|out| give(file, |block| out(block)))
 }
 
 /// Fills in all fields of some records, and with them every byte.

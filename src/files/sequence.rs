@@ -1,11 +1,11 @@
 //! The frames of an input: which files, under which names, and in which order.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::{fmt, fs};
 
-use super::names::{check_name, is_safe_path, natural_cmp};
+use super::names::{FileNames, NameConflict, check_name, is_safe_path, natural_cmp};
 use super::{EXTENSIONS, TELLING, is_scan_by_name, starts_as_scan_of_folder, times};
 use crate::ground::error::{Error, Limits, Result};
 
@@ -374,23 +374,27 @@ fn has_extension(name: &str, extension: &str) -> bool {
     Path::new(name).extension().is_some_and(|found| found.eq_ignore_ascii_case(extension))
 }
 
-/// An error if two files have the same name.
+/// An error if two files could not be written into one folder, because of their names.
 fn check_different<'f>(files: impl Iterator<Item = &'f FoundFile>) -> Result<()> {
-    let mut seen: HashMap<&str, &Path> = HashMap::new();
+    let mut names = FileNames::<&Path>::default();
     for FoundFile { path, name, .. } in files {
-        if let Some(first) = seen.insert(name, path) {
-            let is_twice = fs::canonicalize(first)
-                .ok()
-                .is_some_and(|one| fs::canonicalize(path).is_ok_and(|p| p == one));
-            let what = match is_twice {
-                true => "is given twice; give it once".to_owned(),
-                false => format!(
+        let is_same = |other: &Path| {
+            fs::canonicalize(other).is_ok_and(|other| fs::canonicalize(path).is_ok_and(|path| path == other))
+        };
+        let what = match names.add(name, path) {
+            Ok(()) => continue,
+            Err(NameConflict::SameName(other)) if is_same(other) => "is given twice; give it once".to_owned(),
+            Err(NameConflict::SameName(other)) => {
+                format!(
                     "has the same name as {}; encode them apart, or the folder above both",
-                    first.display()
-                ),
-            };
-            return Err(input_error(path, what));
-        }
+                    other.display()
+                )
+            }
+            Err(NameConflict::FileAndFolder) => {
+                "needs a file and a folder of one name; encode it apart".to_owned()
+            }
+        };
+        return Err(input_error(path, what));
     }
     Ok(())
 }

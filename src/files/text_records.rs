@@ -124,36 +124,54 @@ fn side_by_side(values: &[Vec<u8>], columns: &[Column], records: usize) -> Vec<u
     body
 }
 
-/// The text of these records, each as long as the columns together.
-///
-/// # Errors
-/// None, if the layout is valid.
-pub(super) fn write(body: &[u8], format: &TextFormat) -> Result<Vec<u8>> {
-    let mut out = Vec::new();
-    let mut writer = NumberWriter::new(format.printf);
-    let separator = format.separator.character() as u8;
-    for record in body.chunks_exact(format.stride().max(1)) {
-        let mut rest = record;
-        for (at, &column) in format.columns.iter().enumerate() {
-            if at > 0 {
-                out.push(separator);
-                if format.space_after {
-                    out.push(b' ');
-                }
+/// Writes records as lines of text, some at a time.
+pub(super) struct TextWriter<'f> {
+    format: &'f TextFormat,
+    numbers: NumberWriter,
+    /// Whether there were records before.
+    has_lines: bool,
+    out: Vec<u8>,
+}
+
+impl<'f> TextWriter<'f> {
+    pub fn new(format: &'f TextFormat) -> Self {
+        TextWriter { format, numbers: NumberWriter::new(format.printf), has_lines: false, out: Vec::new() }
+    }
+
+    /// The text of the next records, each as long as the columns together.
+    ///
+    /// # Errors
+    /// None, if the layout is valid.
+    pub fn lines(&mut self, records: &[u8]) -> Result<&[u8]> {
+        let TextWriter { format, numbers, has_lines, out } = self;
+        let (separator, end) = (format.separator.character() as u8, format.line_end().as_bytes());
+        out.clear();
+        for record in records.chunks_exact(format.stride().max(1)) {
+            // With an open end, nothing ends the last line.
+            if format.open_end && std::mem::replace(has_lines, true) {
+                out.extend_from_slice(end);
             }
-            let (value, after) = rest.split_at(column.scalar.size() as usize);
-            writer.write(value, column, &mut out)?;
-            rest = after;
+            let mut rest = record;
+            for (at, &column) in format.columns.iter().enumerate() {
+                if at > 0 {
+                    out.push(separator);
+                    if format.space_after {
+                        out.push(b' ');
+                    }
+                }
+                let (value, after) = rest.split_at(column.scalar.size() as usize);
+                numbers.write(value, column, out)?;
+                rest = after;
+            }
+            if format.trailing_separator {
+                out.push(separator);
+            }
+            if !format.open_end {
+                out.extend_from_slice(end);
+            }
         }
-        if format.trailing_separator {
-            out.push(separator);
-        }
-        out.extend_from_slice(format.line_end().as_bytes());
+        Ok(out)
     }
-    if format.open_end {
-        out.truncate(out.len().saturating_sub(format.line_end().len()));
-    }
-    Ok(out)
 }
 
 /// The types that an undeclared column may have: the shortest that represents all its numbers is used.

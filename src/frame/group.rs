@@ -12,7 +12,7 @@ use super::parameters::{Prediction, RangeCoder, Source};
 use super::parts::FrameParts;
 use super::sections::{Effort, SectionReader, SectionWriter};
 use super::settings::EncoderConfig;
-use super::steps::{Step, StepReport};
+use super::stages::{Stage, StageReport};
 use super::syntax::Models;
 use super::whole::WholeFile;
 use crate::article::prediction::intra::IntraPrediction;
@@ -62,7 +62,7 @@ pub struct EncodedFrame {
     /// The coded sections.
     pub sections: Vec<Section>,
     /// Time and size of each step. If several predictions were tried, those of the chosen one.
-    pub steps: StepReport,
+    pub stages: StageReport,
 }
 
 /// A file that differs from the original.
@@ -209,14 +209,14 @@ impl<'s> TrackEncoder<'s> {
 
     /// Encodes a file that is not a scan, in every mode, as its bytes.
     fn encode_beside(&mut self, file: &ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
-        let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
+        let mut stages = StageReport { frames: 1, original: original.file_size, ..StageReport::default() };
         let whole = WholeFile::of_any_file(file, self.config.level)?;
         let mut writer = SectionWriter::new(Effort::default());
         self.state.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, 0))?;
-        steps.add(&writer.report);
+        stages.add(&writer.report);
         pay_for(&mut writer.sections, original.file_size);
-        steps.count_sections(&writer.sections);
-        Ok(EncodedFrame { header: original, sections: writer.sections, steps })
+        stages.count_sections(&writer.sections);
+        Ok(EncodedFrame { header: original, sections: writer.sections, stages })
     }
 
     /// Encodes the next frame with these settings. Returns the decoded file too, unless it is the original.
@@ -226,13 +226,13 @@ impl<'s> TrackEncoder<'s> {
         scan: ScanFile,
         original: FrameHeader,
     ) -> Result<(EncodedFrame, Option<LossyFile>)> {
-        let mut steps = StepReport { frames: 1, original: original.file_size, ..StepReport::default() };
+        let mut stages = StageReport { frames: 1, original: original.file_size, ..StageReport::default() };
         let name = scan.name.clone();
-        let mut frame = FrameParts::from_scan(scan, self.scanner, config, &mut steps)?;
+        let mut frame = FrameParts::from_scan(scan, self.scanner, config, &mut stages)?;
         frame.parameters.halved = self.halves(&frame);
-        let before = is_unexplained(&frame, config).then(|| (self.state.models.clone(), steps));
+        let before = is_unexplained(&frame, config).then(|| (self.state.models.clone(), stages));
         let mut best: Option<Attempt> = None;
-        let fit = steps.timed(Step::Registration, || self.estimate_motion(&frame));
+        let fit = stages.timed(Stage::Registration, || self.estimate_motion(&frame));
         let has_regions = self.scanner.is_some_and(|scanner| scanner.hdl64().is_some());
         let mut predictions = self.config.predictions(fit, has_regions).into_iter().peekable();
         while let Some(prediction) = predictions.next() {
@@ -240,33 +240,33 @@ impl<'s> TrackEncoder<'s> {
                 Some(_) => (self.state.models.clone(), frame.clone()),
                 None => (take(&mut self.state.models), take(&mut frame)),
             };
-            let attempt = self.attempt(frame, prediction, models, steps)?;
+            let attempt = self.attempt(frame, prediction, models, stages)?;
             if best.as_ref().is_none_or(|best| attempt.cost() < best.cost()) {
                 best = Some(attempt);
             }
         }
-        let Some(Attempt { models, frame, mut sections, steps, .. }) = best else {
+        let Some(Attempt { models, frame, mut sections, stages, .. }) = best else {
             return Err(Error::Internal("no prediction to choose from".to_owned()));
         };
         let unfolded = frame.unfolded_bytes();
         self.state.frames += 1;
-        if let Some((models, mut steps)) = before {
+        if let Some((models, mut stages)) = before {
             let own = size_of_sections(&sections);
             let (records, scan) = (frame.records, frame.clone().into_scan(&name)?);
             if let Some(whole) = WholeFile::shortest(&scan, config.level, own)? {
                 self.state.models = models;
                 let mut writer = SectionWriter::new(Effort::default());
                 self.state.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, records))?;
-                steps.add(&writer.report);
+                stages.add(&writer.report);
                 pay_for(&mut writer.sections, original.file_size.max(records as u64));
-                steps.count_sections(&writer.sections);
-                return Ok((EncodedFrame { header: original, sections: writer.sections, steps }, None));
+                stages.count_sections(&writer.sections);
+                return Ok((EncodedFrame { header: original, sections: writer.sections, stages }, None));
             }
         }
         self.state.models = models;
         if frame.parameters.source.is_none() {
             pay_for(&mut sections, unfolded.max(original.file_size));
-            return Ok((EncodedFrame { header: original, sections, steps }, None));
+            return Ok((EncodedFrame { header: original, sections, stages }, None));
         }
         let decoded = frame.into_scan(&name)?;
         let bytes = decoded.to_bytes()?;
@@ -274,7 +274,7 @@ impl<'s> TrackEncoder<'s> {
             FrameHeader { stamp: original.stamp, ..FrameHeader::of(&name, &bytes, decoded.records as u64) };
         pay_for(&mut sections, unfolded.max(header.file_size));
         let decoded = LossyFile { scan: decoded, bytes };
-        Ok((EncodedFrame { header, sections, steps }, Some(decoded)))
+        Ok((EncodedFrame { header, sections, stages }, Some(decoded)))
     }
 
     /// Whether the halves of a frame's image are coded separately. The first frame decides for all: they are
@@ -324,27 +324,27 @@ impl<'s> TrackEncoder<'s> {
         mut frame: FrameParts,
         prediction: Prediction,
         mut models: Models,
-        mut steps: StepReport,
+        mut stages: StageReport,
     ) -> Result<Attempt> {
         let is_image = matches!(frame.parameters.range_coder, RangeCoder::Image(_));
         let original = is_image.then(|| frame.image.steps.clone());
         frame.parameters.motion = self.state.motion;
-        frame.predict(prediction, self.scanner, self.config, &mut steps);
+        frame.predict(prediction, self.scanner, self.config, &mut stages);
         let effort = Effort { level: self.config.level, image: self.config.image };
         let mut writer = SectionWriter::new(effort);
         models.code_frame(&mut writer, self.scanner, &mut frame)?;
-        steps.add(&writer.report);
-        steps.count_sections(&writer.sections);
+        stages.add(&writer.report);
+        stages.count_sections(&writer.sections);
         let error = original.map_or(0.0, |ranges| squared_error(&ranges, &frame.image.steps));
-        Ok(Attempt { models, frame, sections: writer.sections, error, steps })
+        Ok(Attempt { models, frame, sections: writer.sections, error, stages })
     }
 }
 
-/// Whether most points are outside any range image and all must be restored exactly: then the models may do
+/// Whether many points are outside any range image and all must be restored exactly: then the models may do
 /// worse than a general-purpose compressor.
 fn is_unexplained(frame: &FrameParts, config: &EncoderConfig) -> bool {
     let is_exact = config.positions == Positions::Exact && config.intensity == Intensity::Exact;
-    is_exact && frame.parameters.source.is_none() && 2 * frame.strays >= frame.records
+    is_exact && frame.parameters.source.is_none() && 4 * frame.strays >= frame.records
 }
 
 /// A frame coded in one of several ways.
@@ -356,7 +356,7 @@ struct Attempt {
     sections: Vec<Section>,
     /// Squared error of the ranges, in steps, if the coder has a bit rate; otherwise 0.
     error: f64,
-    steps: StepReport,
+    stages: StageReport,
 }
 
 impl Attempt {
@@ -438,7 +438,7 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
         GroupDecoder { judges_scanners: true, ..self }
     }
 
-    /// Decodes the next frame; adds the times of all steps to `steps`.
+    /// Decodes the next frame; adds the times of all stages to `stages`.
     ///
     /// # Errors
     /// If the sections do not make a frame, or make one that exceeds the limits; if the group does not have
@@ -447,21 +447,19 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
         &mut self,
         header: &FrameHeader,
         sections: &[Section],
-        steps: &mut StepReport,
+        stages: &mut StageReport,
     ) -> Result<DecodedScan> {
         let track = self.tracks.get_mut(usize::from(header.stamp.track));
         let unknown = || Error::corrupt("a frame of a track that the group does not have");
         let (scanner, models) = track.ok_or_else(unknown)?;
         let scanner = scanner.as_ref().map(S::borrow);
-        let limits = self.limits.at_most(allowance(sections));
-        let mut reader = SectionReader::new(sections, &limits);
-        let mut frame = FrameParts::of_records(header.point_count as usize);
-        models.get_or_insert_default().code_frame(&mut reader, scanner, &mut frame)?;
-        steps.add(&reader.finish()?);
+        let models = models.get_or_insert_default();
+        let (mut frame, report) = decode_parts(models, scanner, header, sections, &self.limits)?;
+        stages.add(&report);
         let source = frame.parameters.source;
-        steps.frames += 1;
-        steps.original += source.map_or(header.file_size, |source| source.file_size);
-        steps.count_sections(sections);
+        stages.frames += 1;
+        stages.original += source.map_or(header.file_size, |source| source.file_size);
+        stages.count_sections(sections);
         let explained = scanner.filter(|_| self.judges_scanners).map(|scanner| Explained {
             points: frame.records as u64,
             in_image: frame.returns.len() as u64,
@@ -481,4 +479,22 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
         let keeps_order = frame.parameters.positions != Positions::Formula;
         Ok(DecodedScan { scan: frame.into_scan(&header.name)?, source, keeps_order, image, explained })
     }
+}
+
+/// Decodes the sections of the next frame of a track.
+///
+/// # Errors
+/// If they do not make a frame, or make one that exceeds the limits.
+pub(crate) fn decode_parts(
+    models: &mut Models,
+    scanner: Option<&Scanner>,
+    header: &FrameHeader,
+    sections: &[Section],
+    limits: &Limits,
+) -> Result<(FrameParts, StageReport)> {
+    let limits = limits.at_most(allowance(sections));
+    let mut reader = SectionReader::new(sections, &limits);
+    let mut frame = FrameParts::of_records(header.point_count as usize);
+    models.code_frame(&mut reader, scanner, &mut frame)?;
+    Ok((frame, reader.finish()?))
 }

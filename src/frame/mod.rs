@@ -4,7 +4,7 @@ pub mod fidelity;
 pub mod group;
 pub mod parameters;
 pub mod settings;
-pub mod steps;
+pub mod stages;
 
 pub(crate) mod bound;
 pub(crate) mod levels;
@@ -19,4 +19,4 @@ pub use group::DecodedImage;
 pub use modelling::Modelling;
 pub use parameters::{FrameParameters, Prediction, Source};
 pub use settings::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
-pub use steps::{Step, StepReport};
+pub use stages::{Stage, StageReport};

@@ -78,7 +78,7 @@ pub(crate) struct Parts {
 }
 
 impl Parts {
-    /// Whether the models of intensities and ranges adapt to each value.
+    /// Whether the models of intensities, and those of ranges above the default level, adapt to each value.
     pub(crate) fn is_adaptive(&self) -> bool {
         matches!(self.intensity, IntensityModelling::Light | IntensityModelling::Deep)
     }

@@ -5,7 +5,7 @@ use super::bound::Bound;
 use super::fidelity::{Intensity, Positions};
 use super::parameters::{FrameParameters, Prediction, Source};
 use super::settings::{EncoderConfig, ProjectionKind};
-use super::steps::{Step, StepReport};
+use super::stages::{Stage, StageReport};
 use super::whole::WholeFile;
 use std::mem::take;
 use std::sync::Arc;
@@ -107,7 +107,7 @@ impl FrameParts {
         scan: ScanFile,
         scanner: Option<&Scanner>,
         config: &EncoderConfig,
-        steps: &mut StepReport,
+        stages: &mut StageReport,
     ) -> Result<Self> {
         let mut frame = FrameParts {
             parameters: config.frame_parameters()?,
@@ -118,22 +118,22 @@ impl FrameParts {
             ..FrameParts::default()
         };
         let bound = Bound::of(config.positions, config.intensity);
-        let cloud = steps.timed(Step::Conversion, || {
+        let cloud = stages.timed(Stage::Conversion, || {
             let cloud = if scanner.is_some() { frame.undo_sort(scan.cloud) } else { scan.cloud };
             frame.undo_compensation(cloud, scanner, config)
         });
         match scanner.filter(|_| !cloud.positions.is_empty()) {
             None => frame.take_strays(cloud),
             Some(scanner) if config.positions == Positions::Formula => {
-                frame.convert_points(&cloud, scanner, config, steps);
+                frame.convert_points(&cloud, scanner, config, stages);
             }
-            Some(scanner) => steps.timed(Step::Conversion, || {
+            Some(scanner) => stages.timed(Stage::Conversion, || {
                 frame.take_points(cloud, scanner, bound.as_ref());
             }),
         }
         if let Some(bound) = bound {
             frame.round_values(&bound);
-            frame.parameters.source = Some(Source::all_points(steps.original, scan.records as u64));
+            frame.parameters.source = Some(Source::all_points(stages.original, scan.records as u64));
         }
         frame.parameters.range_coder.fit(&frame.image.steps);
         Ok(frame)
@@ -146,18 +146,18 @@ impl FrameParts {
         prediction: Prediction,
         scanner: Option<&Scanner>,
         config: &EncoderConfig,
-        steps: &mut StepReport,
+        stages: &mut StageReport,
     ) {
         if prediction != Prediction::Inter {
             self.predict_from_nothing();
         }
         self.parameters.prediction = prediction;
         if let (Some(scanner), Prediction::Intra) = (scanner.and_then(Scanner::hdl64), prediction) {
-            let segmentation = steps.timed(Step::Clustering, || {
+            let segmentation = stages.timed(Stage::Clustering, || {
                 segment(&self.image.steps, &self.image.columns, scanner, &config.segmentation)
             });
             let rays = Rays::of(scanner, &self.image.columns);
-            self.intra = steps.timed(Step::Prediction, || {
+            self.intra = stages.timed(Stage::Prediction, || {
                 IntraPrediction::fit(&self.image.steps, &self.occupancy, &rays, &segmentation, &config.intra)
             });
         }
@@ -239,9 +239,9 @@ impl FrameParts {
         cloud: &PointCloud,
         scanner: &Scanner,
         config: &EncoderConfig,
-        steps: &mut StepReport,
+        stages: &mut StageReport,
     ) {
-        let cloud = steps.timed(Step::Outliers, || match config.outliers {
+        let cloud = stages.timed(Stage::Outliers, || match config.outliers {
             #[cfg(feature = "article")]
             Some(outliers) => outliers.filter(cloud),
             _ => cloud.clone(),
@@ -262,7 +262,7 @@ impl FrameParts {
             ProjectionKind::Ideal { .. } => blanks + std::mem::take(&mut projection.strays).len(),
         };
         self.parameters.source = Some(Source {
-            file_size: steps.original,
+            file_size: stages.original,
             points: self.records as u64,
             outliers: (self.records - cloud.positions.len()) as u64,
             lost: lost as u64,
@@ -270,7 +270,7 @@ impl FrameParts {
         self.records = cloud.positions.len() - lost;
         self.take_image(cloud, projection);
         self.prefix = with_point_count(&self.prefix, self.records);
-        steps.took(Step::Conversion, start);
+        stages.took(Stage::Conversion, start);
     }
 
     /// Sets the range image and the strays.

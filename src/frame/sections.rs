@@ -1,6 +1,6 @@
 //! The sections of a frame, processed one after the other in the same order on both sides.
 
-use super::steps::StepReport;
+use super::stages::StageReport;
 use crate::article::image_coding::ImageConfig;
 use crate::backend::Level;
 use crate::container::{Section, SectionKind};
@@ -74,7 +74,7 @@ pub trait SectionCoder {
     fn effort(&self) -> Effort;
 
     /// Time and size of each step. The time of a section is added when it ends.
-    fn report(&mut self) -> &mut StepReport;
+    fn report(&mut self) -> &mut StageReport;
 
     /// Bytes of the sections written so far; unused by the decoder.
     fn bytes_written(&self) -> usize;
@@ -87,7 +87,7 @@ pub struct SectionWriter {
     limits: Limits,
     effort: Effort,
     /// Time and size of each step.
-    pub report: StepReport,
+    pub report: StageReport,
 }
 
 impl SectionWriter {
@@ -97,7 +97,7 @@ impl SectionWriter {
             sections: Vec::new(),
             limits: Limits::default(),
             effort,
-            report: StepReport::default(),
+            report: StageReport::default(),
         }
     }
 }
@@ -168,7 +168,7 @@ impl SectionCoder for SectionWriter {
         self.effort
     }
 
-    fn report(&mut self) -> &mut StepReport {
+    fn report(&mut self) -> &mut StageReport {
         &mut self.report
     }
 
@@ -182,13 +182,13 @@ pub struct SectionReader<'s> {
     /// The remaining sections.
     sections: &'s [Section],
     limits: &'s Limits,
-    report: StepReport,
+    report: StageReport,
 }
 
 impl<'s> SectionReader<'s> {
     /// Starts with the first section.
     pub fn new(sections: &'s [Section], limits: &'s Limits) -> Self {
-        SectionReader { sections, limits, report: StepReport::default() }
+        SectionReader { sections, limits, report: StageReport::default() }
     }
 
     /// The next section, after skipping skippable ones.
@@ -219,7 +219,7 @@ impl<'s> SectionReader<'s> {
     ///
     /// # Errors
     /// If sections are left over.
-    pub fn finish(mut self) -> Result<StepReport> {
+    pub fn finish(mut self) -> Result<StageReport> {
         match self.peek() {
             None => Ok(self.report),
             Some(Section { kind, .. }) => {
@@ -316,7 +316,7 @@ impl SectionCoder for SectionReader<'_> {
         Effort::default()
     }
 
-    fn report(&mut self) -> &mut StepReport {
+    fn report(&mut self) -> &mut StageReport {
         &mut self.report
     }
 

@@ -1,11 +1,10 @@
 //! A frame coded as the bytes of its file by a general-purpose compressor: the fallback if no model pays.
 //! FORMAT.md 8.18.
 
-use crate::backend::{self, LZMA, Level, STORE, ZSTD};
+use crate::backend::{self, LZMA_GAIN, Level, STORE};
 use crate::files::{parse, plain_records};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
-use crate::models::channels::{FLOOR_LEVEL, LZMA_GAIN};
 use crate::scan::{Layout, ScanFile, Wrapping};
 
 /// The bytes of a file, and their structure.
@@ -27,15 +26,8 @@ impl WholeFile {
         let bytes = scan.to_bytes()?;
         let records = (scan.layout.wrapping == Wrapping::Plain && !scan.is_opaque())
             .then(|| (scan.layout.clone(), scan.prefix.len()));
-        let quick = backend::compress_quickly(&bytes)?;
-        let mut best = (ZSTD, quick);
-        if level.number() >= FLOOR_LEVEL && best.1.len() as f64 * LZMA_GAIN < most as f64 {
-            let hardest = backend::compress_hardest(&bytes)?;
-            if hardest.len() < best.1.len() {
-                best = (LZMA, hardest);
-            }
-        }
-        let whole = WholeFile::coded(bytes, records, best);
+        let coded = backend::shortest(&bytes, level, |size| size as f64 * LZMA_GAIN < most as f64)?;
+        let whole = WholeFile::coded(bytes, records, coded);
         Ok((whole.payload.len() < most).then_some(whole))
     }
 
@@ -47,19 +39,12 @@ impl WholeFile {
         /// The compression ratio of the fast compressor from which on no compressor is expected to help much.
         const COMPRESSED: f64 = 0.98;
         let bytes = file.to_bytes()?;
-        let quick = backend::compress_quickly(&bytes)?;
-        let is_compressed = quick.len() as f64 >= COMPRESSED * bytes.len() as f64;
-        let mut best = (ZSTD, quick);
-        if !is_compressed && level.number() >= FLOOR_LEVEL {
-            let hardest = backend::compress_hardest(&bytes)?;
-            if hardest.len() < best.1.len() {
-                best = (LZMA, hardest);
-            }
+        let mut coded =
+            backend::shortest(&bytes, level, |size| (size as f64) < COMPRESSED * bytes.len() as f64)?;
+        if coded.1.len() >= bytes.len() {
+            coded = (STORE, bytes.clone());
         }
-        if best.1.len() >= bytes.len() {
-            best = (STORE, bytes.clone());
-        }
-        Ok(WholeFile::coded(bytes, None, best))
+        Ok(WholeFile::coded(bytes, None, coded))
     }
 
     /// A file coded by the back-end with this number.

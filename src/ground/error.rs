@@ -34,7 +34,7 @@ pub enum Error {
         /// Where.
         place: Place,
     },
-    /// The stream exceeds a limit of the reader, or a scan one that readers have.
+    /// The stream exceeds a limit of the reader.
     #[error("{place}{what}: {got} is over the limit of {max}")]
     LimitExceeded {
         /// What was requested.
@@ -121,6 +121,15 @@ impl Error {
         if got > max { Err(Error::over_limit(what, got, max)) } else { Ok(got) }
     }
 
+    /// An error about `what` to be encoded, if its amount exceeds what a stream can hold.
+    ///
+    /// # Errors
+    /// [`Error::Usage`], if it does.
+    pub(crate) fn check_fits(what: &str, got: u64, max: u64) -> Result<()> {
+        let too_much = || format!("{got} {what}, more than the {max} that a stream can hold; leave it out");
+        if got > max { Err(Error::Usage(too_much())) } else { Ok(()) }
+    }
+
     /// The same error, naming the file that it is about.
     pub(crate) fn at(self, path: impl AsRef<Path>) -> Self {
         Error::At { path: path.as_ref().to_path_buf(), source: Box::new(self) }
@@ -176,6 +185,17 @@ impl Error {
             Error::At { source, .. } => source.place(),
             _ => None,
         }
+    }
+
+    /// The number of the frame that the error is about, and a message that names it. `frame` is that number, if the caller
+    /// knows it and the error does not.
+    pub fn about_frame(&self, frame: Option<u64>) -> (Option<u64>, String) {
+        let frame = self.place().and_then(|place| place.frame).or(frame);
+        let what = self.to_string();
+        // Messages about a group number the frames within it.
+        let unnamed = frame.filter(|number| !what.contains(&format!("frame {number} (")));
+        let message = unnamed.map(|number| format!("frame {number}: {what}"));
+        (frame, message.unwrap_or(what))
     }
 
     fn place_mut(&mut self) -> Option<&mut Place> {

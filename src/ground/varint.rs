@@ -52,7 +52,9 @@ pub fn read_unsigned(input: &mut impl Read, what: &str) -> Result<u64> {
 pub fn read_within(input: &mut impl Read, what: &str, range: RangeInclusive<u64>) -> Result<u64> {
     match read_unsigned(input, what)? {
         got if range.contains(&got) => Ok(got),
-        got if got > *range.end() => Err(Error::over_limit(what, got, *range.end())),
+        got if got > *range.end() => {
+            Err(Error::corrupt(format!("{what}: {got}, but at most {}", range.end())))
+        }
         got => Err(Error::corrupt(format!("{what}: {got}, but at least {}", range.start()))),
     }
 }

@@ -40,14 +40,10 @@ pub struct Decoder<R> {
 /// A group, decoded up to the last requested scan.
 struct KeptGroup {
     first_frame: u64,
-    scans: Vec<KeptScan>,
+    /// All are checked, also those that are decoded only because later ones depend on them: together they then take no
+    /// more memory than the sizes of their files, which the group's reader has limited, allow.
+    scans: Vec<Result<Scan>>,
     open: PartlyDecodedGroup,
-}
-
-enum KeptScan {
-    /// A frame decoded only because later ones depend on it.
-    Unchecked(Box<DecodedFrame>),
-    Checked(Scan),
 }
 
 /// The properties of a frame according to the index.
@@ -149,6 +145,12 @@ impl<R: Read + Seek + Send> Decoder<R> {
         let group = groups.get(next.checked_sub(1)?).filter(|group| !group.is_beside())?;
         let range = group.first_frame..group.end();
         range.contains(&number).then_some(range)
+    }
+
+    /// The first frame of each group, in order, and the number of frames.
+    pub fn group_borders(&self) -> Vec<u64> {
+        let next = |start: &u64| Some(self.group_of(*start)?.end);
+        std::iter::successors(Some(0), next).collect()
     }
 
     /// The properties of these frames. Reads their groups, but decodes nothing.
@@ -298,20 +300,17 @@ fn lost_frames() -> Error {
 }
 
 impl KeptGroup {
-    /// The scan with this number, which is in the group.
+    /// The scan with this number, which is in the group. After an error, the group is of no further use.
     fn scan(&mut self, number: u64) -> Result<Scan> {
         let place = (number - self.first_frame) as usize;
         while self.scans.len() <= place {
             let decoded = self.open.decode_next()?.ok_or_else(lost_frames)?;
-            self.scans.push(KeptScan::Unchecked(Box::new(decoded)));
+            self.scans.push(decoded.checked().map(scan_of));
         }
-        let kept = &mut self.scans[place];
-        let scan = match std::mem::replace(kept, KeptScan::Checked(Scan::default())) {
-            KeptScan::Unchecked(frame) => scan_of(frame.checked()?),
-            KeptScan::Checked(scan) => scan,
-        };
-        *kept = KeptScan::Checked(scan.clone());
-        Ok(scan)
+        match &mut self.scans[place] {
+            Ok(scan) => Ok(scan.clone()),
+            damaged => std::mem::replace(damaged, Err(lost_frames())),
+        }
     }
 }
 

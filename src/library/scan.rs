@@ -254,7 +254,10 @@ impl Scan {
         let stamp = Stamp { unit: self.unit(), track: self.track, time: self.time };
         let (layout, prefix, suffix) = match self.file {
             Some(file) => (file.layout, file.prefix, file.suffix),
-            None => (layout_in_memory(&self.channels), Vec::new(), Vec::new()),
+            None => {
+                let has_positions = self.positions.len() == self.points;
+                (layout_in_memory(has_positions, &self.channels), Vec::new(), Vec::new())
+            }
         };
         let mut cloud = PointCloud { positions: self.positions, ..PointCloud::default() };
         let intensity = intensity_place(&layout).map(|(place, _)| place);
@@ -298,14 +301,15 @@ fn intensities(values: Values) -> Vec<f32> {
 }
 
 /// The layout of points in memory: that of a file without a header whose records have the same fields.
-fn layout_in_memory(channels: &[TypedChannel]) -> Layout {
+fn layout_in_memory(has_positions: bool, channels: &[TypedChannel]) -> Layout {
     let positions = POSITION.map(|name| Field::new(name, scan::Scalar::F32));
+    let positions = positions.into_iter().filter(|_| has_positions);
     let others = channels.iter().map(|TypedChannel { name, count, values }| Field {
         name: name.clone(),
         scalar: values.scalar(),
         count: *count,
     });
-    let layout = files::plain_layout(positions.into_iter().chain(others).collect());
+    let layout = files::plain_layout(positions.chain(others).collect());
     let mut layout = layout.unwrap_or_default();
     let values = intensity_place(&layout).and_then(|(place, _)| Some(&channels.get(place)?.values));
     if let Some(Values::U16(values)) = values

@@ -59,7 +59,7 @@ impl Settings {
         Settings { config, level: None, group_of_pictures: None, intensity_step: None }
     }
 
-    /// The effort, from 1 (fastest) to 9 (smallest). Default: 6.
+    /// The effort, from 1 (fastest) to 9 (smallest); there are no levels 4 and 5. Default: 6.
     #[must_use]
     pub fn with_level(self, level: u8) -> Self {
         Settings { level: Some(level), ..self }

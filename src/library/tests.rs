@@ -202,6 +202,28 @@ fn of_fields_with_one_name_the_first_is_a_channel() {
 }
 
 #[test]
+fn files_whose_coordinates_are_no_float32_take_channels_too() {
+    let header =
+        "VERSION 0.7\nFIELDS x y z a\nSIZE 8 8 8 1\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH 2\nHEIGHT 1\n";
+    let values = [1.0 / 3.0, 0.1, -0.7];
+    let record = [values.map(f64::to_le_bytes).as_flattened(), &[5]].concat();
+    let file = [header.as_bytes(), b"POINTS 2\nDATA binary\n", &record, &record].concat();
+    let without =
+        "VERSION 0.7\nFIELDS a\nSIZE 1\nTYPE U\nCOUNT 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA binary\nab";
+    for (file, names) in [(file, &["x", "y", "z", "a", "ring"][..]), (without.into(), &["a", "ring"])] {
+        let scan = Scan::from_file("1.pcd", file).with_channel("ring", &[7u16, 9]).unwrap();
+        assert!(scan.positions().is_empty());
+        let decoded = decoded(&encoded([scan.clone()], Settings::exact()));
+        assert_eq!(decoded[0].channels().map(|channel| channel.name).collect::<Vec<_>>(), names);
+        assert_eq!(decoded[0].channel::<u16>("ring").unwrap(), [7, 9]);
+        assert_eq!(decoded[0].channel::<u8>("a").unwrap(), scan.channel::<u8>("a").unwrap());
+        if names.len() > 2 {
+            assert_eq!(decoded[0].channel::<f64>("y").unwrap(), [values[1]; 2]);
+        }
+    }
+}
+
+#[test]
 fn channels_that_do_not_fit_are_refused() {
     let scan = || Scan::from_xyzi(&[[0.0; 4]; 3]);
     let refusals = [
@@ -287,7 +309,9 @@ fn scanners_are_told_in_words() {
 fn a_bound_holds() {
     let points = xyzi(&drive()[0].1);
     let stream = encoded([Scan::from_xyzi(&points)], Settings::bounded(0.01).with_level(1));
-    for (found, point) in decoded(&stream)[0].positions().iter().zip(&points) {
+    let decoded = decoded(&stream);
+    assert_eq!(decoded[0].len(), points.len());
+    for (found, point) in decoded[0].positions().iter().zip(&points) {
         let squares: f64 =
             found.iter().zip(point).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
         assert!(squares.sqrt() <= 0.01);

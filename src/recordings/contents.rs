@@ -28,8 +28,8 @@ impl TopicFilter {
     }
 }
 
-/// The clouds of a recording, compressed or not, one after another, each with its time. If there are several topics,
-/// each topic is a track of its own. What is damaged is left out: see [`damage`](Self::damage).
+/// The clouds of a recording, compressed or not, one after another, each with its time. If several
+/// channels have clouds, each is a track of its own. What is damaged is left out: see [`damage`](Self::damage).
 pub struct Clouds<'f, R> {
     records: Records<R>,
     filter: &'f TopicFilter,

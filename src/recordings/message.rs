@@ -257,8 +257,9 @@ pub fn compress(message: &[u8], encoding: Encoding, payload: &[u8]) -> Result<Ve
     let cloud = values.and_then(|mut values| Some((Cloud::read(&mut values)?, values.is_big_endian)));
     let (cloud, is_big_endian) = cloud.ok_or_else(|| Error::corrupt("a message that is no cloud"))?;
     let length = |length: usize| -> Result<[u8; 4]> {
-        let length = u32::try_from(length)
-            .map_err(|_| Error::over_limit("bytes of a payload", length as u64, u32::MAX.into()))?;
+        let length = u32::try_from(length).map_err(|_| {
+            Error::Usage(format!("a compressed cloud of {length} bytes, more than a message can hold"))
+        })?;
         Ok(if is_big_endian { length.to_be_bytes() } else { length.to_le_bytes() })
     };
     let mut out = message[..cloud.length_at].to_vec();

@@ -146,7 +146,7 @@ impl<R: Read> Records<R> {
                     }
                     break;
                 }
-                op::MESSAGE | op::CHUNK | op::ATTACHMENT | op::METADATA => {
+                op::MESSAGE | op::CHUNK | op::ATTACHMENT | op::METADATA | FIRST_PRIVATE.. => {
                     return Err(Error::Usage("records after the end of its data were not taken".to_owned()));
                 }
                 _ => {}
@@ -186,6 +186,9 @@ impl<R: Read> Records<R> {
             }
             Record::Message { header, .. } if !self.channels.contains_key(&header.channel_id) => {
                 Err(format!("a message has channel {}, which does not exist", header.channel_id))
+            }
+            Record::Unknown { opcode, .. } if *opcode < FIRST_PRIVATE => {
+                Err(format!("a record is of kind {opcode}, which the format does not define"))
             }
             _ => Ok(()),
         }

@@ -12,7 +12,7 @@ use crate::files;
 use crate::frame::group::{DecodedImage, DecodedScan, GroupDecoder};
 use crate::frame::parameters::Source;
 use crate::frame::settings::resolve_threads;
-use crate::frame::steps::StepReport;
+use crate::frame::stages::StageReport;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
 use crate::scanner::Scanner;
@@ -34,7 +34,7 @@ pub struct DecodedFrame {
     /// The range image, if there is one and it was requested.
     pub image: Option<DecodedImage>,
     /// The time of each decoding step.
-    pub steps: StepReport,
+    pub stages: StageReport,
 }
 
 impl DecodedFrame {
@@ -145,13 +145,13 @@ fn decode_frame<S: Borrow<Scanner>>(
     options: &DecodeOptions,
 ) -> Result<Option<DecodedFrame>> {
     let header = frame.header.clone();
-    let mut steps = StepReport::default();
+    let mut stages = StageReport::default();
     let DecodedScan { scan, source, keeps_order, image, .. } =
-        coder.decode_frame(&header, &frame.sections, &mut steps)?;
+        coder.decode_frame(&header, &frame.sections, &mut stages)?;
     if !options.frames.contains(number) {
         return Ok(None);
     }
-    Ok(Some(DecodedFrame { number, header, scan, source, keeps_order, image, steps }))
+    Ok(Some(DecodedFrame { number, header, scan, source, keeps_order, image, stages }))
 }
 
 /// A group that is decoded as far as requested, and can be continued.
@@ -187,8 +187,8 @@ impl PartlyDecodedGroup {
     }
 }
 
-/// Passes the bytes of a file to `give`, piece by piece; an error if in the end their size or checksum
-/// differs from the frame's header.
+/// Passes the bytes of a file to `give`, piece by piece, no more than the frame's header says; an error if in the end
+/// their size or checksum differs from the header's.
 pub(crate) fn write_checked(
     scan: &ScanFile,
     header: &FrameHeader,
@@ -197,6 +197,9 @@ pub(crate) fn write_checked(
     let (mut size, mut crc) = (0, 0);
     files::write(scan, |piece| {
         size += piece.len() as u64;
+        if size > header.file_size {
+            return Err(Error::corrupt(format!("a file of more than {} bytes", header.file_size)));
+        }
         crc = crc32c::crc32c_append(crc, piece);
         give(piece)
     })?;

@@ -5,7 +5,7 @@ use std::io::Write;
 use super::encoder::EncodedGroup;
 use crate::container::{CodedFrame, FrameHeader, Index, ScannerRecord, SectionKind, StreamWriter, Unit};
 use crate::frame::parameters::Source;
-use crate::frame::steps::StepReport;
+use crate::frame::stages::StageReport;
 use crate::ground::error::Result;
 
 /// Statistics of an encoded stream.
@@ -14,9 +14,9 @@ pub struct Encoded {
     /// The headers of the frames, in order.
     pub frames: Vec<FrameHeader>,
     /// Time and size of each step; where several predictions were tried, those of the chosen one.
-    pub steps: StepReport,
+    pub stages: StageReport,
     /// Time and size of each step, frame by frame.
-    pub frame_steps: Vec<StepReport>,
+    pub frame_stages: Vec<StageReport>,
     /// Number of points in all original files.
     pub points: u64,
     /// Points removed by the outlier filter.
@@ -31,7 +31,7 @@ pub struct Encoded {
     pub beside_coded: u64,
     /// Frames that no model fits, so that their files' bytes were coded by a general-purpose compressor.
     pub unmodelled: u64,
-    /// Frames kept from an interrupted run. Their steps have no times.
+    /// Frames kept from an interrupted run. Their stages have no times.
     pub resumed_frames: u64,
     /// Bytes of the stream.
     pub stream_bytes: u64,
@@ -40,7 +40,7 @@ pub struct Encoded {
 impl Encoded {
     /// Bytes of all original files.
     pub fn file_bytes(&self) -> u64 {
-        self.steps.original
+        self.stages.original
     }
 }
 
@@ -48,7 +48,7 @@ impl Encoded {
 pub(crate) struct FrameOfStream {
     /// The frame header.
     pub header: FrameHeader,
-    pub steps: StepReport,
+    pub stages: StageReport,
     /// The original file.
     pub source: Source,
     pub is_modelled: bool,
@@ -59,18 +59,18 @@ impl FrameOfStream {
     ///
     /// # Errors
     /// If the frame's parameters are damaged.
-    pub(crate) fn of(frame: &CodedFrame, steps: StepReport) -> Result<Self> {
+    pub(crate) fn of(frame: &CodedFrame, stages: StageReport) -> Result<Self> {
         let is_modelled = frame.header.stamp.unit == Unit::Beside
             || frame.sections.iter().all(|section| section.kind != SectionKind::Bytes);
-        Ok(FrameOfStream { header: frame.header.clone(), steps, source: Source::of(frame)?, is_modelled })
+        Ok(FrameOfStream { header: frame.header.clone(), stages, source: Source::of(frame)?, is_modelled })
     }
 }
 
 impl Encoded {
     /// Adds the next frame.
     pub(crate) fn add(&mut self, frame: FrameOfStream) {
-        self.steps.add(&frame.steps);
-        self.frame_steps.push(frame.steps);
+        self.stages.add(&frame.stages);
+        self.frame_stages.push(frame.stages);
         self.points += frame.source.points;
         self.outliers += frame.source.outliers;
         self.lost += frame.source.lost;
@@ -78,7 +78,7 @@ impl Encoded {
         if frame.header.stamp.unit == Unit::Beside {
             self.beside += 1;
             self.beside_bytes += frame.header.file_size;
-            self.beside_coded += frame.steps.coded();
+            self.beside_coded += frame.stages.coded();
         }
         self.frames.push(frame.header);
     }
@@ -120,10 +120,10 @@ impl<W: Write> OpenStream<W> {
 
     /// Writes the next groups.
     pub fn write(&mut self, groups: &[EncodedGroup]) -> Result<()> {
-        for EncodedGroup { group, steps, .. } in groups {
+        for EncodedGroup { group, stages, .. } in groups {
             self.writer.write_group(group)?;
-            for (frame, steps) in group.frames.iter().zip(steps) {
-                self.encoded.add(FrameOfStream::of(frame, *steps)?);
+            for (frame, stages) in group.frames.iter().zip(stages) {
+                self.encoded.add(FrameOfStream::of(frame, *stages)?);
             }
         }
         Ok(())

@@ -11,8 +11,8 @@ use super::scanner_choice::{DriveScanners, choose_scanners, records_of};
 use crate::container::{CodedFrame, FrameHeader, Group};
 use crate::frame::group::GroupEncoder;
 use crate::frame::settings::{EncoderConfig, resolve_threads};
-use crate::frame::steps::StepReport;
-use crate::ground::error::{Limits, Result};
+use crate::frame::stages::StageReport;
+use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
 
 /// A group is closed early when its files reach this many bytes in total: decoders hold a whole group in
@@ -137,12 +137,12 @@ impl<'a> SequenceCoder<'a> {
     pub fn encode_frames(&self, inputs: Vec<FrameInput>) -> Result<Vec<EncodedGroup>> {
         let mut groups = Vec::new();
         let drive = inputs.first().map_or(0, FrameInput::drive);
-        let mut open = GroupInProgress::new(self, drive);
+        let mut open = GroupInProgress::new(self, drive)?;
         for input in inputs {
             let path = input.path();
             let frame = input.into_frame(self.config.headerless.as_ref())?;
             if !open.has_room_for(&frame) {
-                groups.push(mem::replace(&mut open, GroupInProgress::new(self, drive)).encoded);
+                groups.push(mem::replace(&mut open, GroupInProgress::new(self, drive)?).encoded);
             }
             open.encode_frame(frame).map_err(|e| e.at(path))?;
             (self.on_frame)();
@@ -156,8 +156,8 @@ impl<'a> SequenceCoder<'a> {
 pub(crate) struct EncodedGroup {
     pub group: Group,
     /// Time and size of each step, by frame.
-    pub steps: Vec<StepReport>,
-    /// The headers of the original files.
+    pub stages: Vec<StageReport>,
+    /// The headers of the original files, as they were before a track was chosen.
     pub originals: Vec<FrameHeader>,
     /// Total bytes of the original files.
     file_bytes: u64,
@@ -172,16 +172,19 @@ struct GroupInProgress<'s> {
 }
 
 impl<'s> GroupInProgress<'s> {
-    fn new(sequence: &SequenceCoder<'s>, drive: usize) -> Self {
-        let scanners = &sequence.scanners[drive];
+    /// # Errors
+    /// If no scanners were chosen for the drive.
+    fn new(sequence: &SequenceCoder<'s>, drive: usize) -> Result<Self> {
+        let scanners = sequence.scanners.get(drive);
+        let scanners = scanners.ok_or_else(|| Error::Internal(format!("no scanners for drive {drive}")))?;
         let group = Group { scanners: scanners.ids.clone(), frames: Vec::new() };
         let models: Vec<_> = scanners.models.iter().map(Option::as_ref).collect();
-        GroupInProgress {
+        Ok(GroupInProgress {
             scanners,
             config: sequence.config,
             coder: GroupEncoder::new(&models, sequence.config),
-            encoded: EncodedGroup { group, steps: Vec::new(), originals: Vec::new(), file_bytes: 0 },
-        }
+            encoded: EncodedGroup { group, stages: Vec::new(), originals: Vec::new(), file_bytes: 0 },
+        })
     }
 
     fn has_room_for(&self, frame: &ReadFrame) -> bool {
@@ -192,16 +195,15 @@ impl<'s> GroupInProgress<'s> {
     fn encode_frame(&mut self, frame: ReadFrame) -> Result<()> {
         let ReadFrame { header: original, scan } = frame;
         let scan = within_limits(scan)?;
-        let mut original = original;
-        original.stamp.track = self.scanners.track_of(original.stamp.track, &scan, self.config);
-        let tracks = usize::from(original.stamp.track) + 1;
+        let mut header = FrameHeader { point_count: scan.records as u64, ..original.clone() };
+        header.stamp.track = self.scanners.track_of(original.stamp.track, &scan, self.config);
+        let tracks = usize::from(header.stamp.track) + 1;
         let scanners = &mut self.encoded.group.scanners;
         scanners.resize(scanners.len().max(tracks), None);
-        let original = FrameHeader { point_count: scan.records as u64, ..original };
         self.encoded.file_bytes += original.file_size;
-        self.encoded.originals.push(original.clone());
-        let frame = self.coder.encode_frame(scan, original)?;
-        self.encoded.steps.push(frame.steps);
+        self.encoded.originals.push(original);
+        let frame = self.coder.encode_frame(scan, header)?;
+        self.encoded.stages.push(frame.stages);
         self.encoded.group.frames.push(CodedFrame { header: frame.header, sections: frame.sections });
         Ok(())
     }

@@ -161,7 +161,7 @@ impl FrameInput {
     }
 
     fn into_bytes(self) -> Result<Vec<u8>> {
-        Error::check_limit("bytes of a file", self.size()?, Limits::default().file_bytes)
+        Error::check_fits("bytes", self.size()?, Limits::default().file_bytes)
             .map_err(|e| e.at(self.path()))?;
         let is_folder = self.is_folder();
         match self.data {
@@ -186,12 +186,12 @@ impl FrameInput {
     }
 
     fn try_into_frame(self, headerless: Option<&HeaderlessLayout>) -> Result<ReadFrame> {
-        Error::check_limit("number of a frame's track", self.stamp.track.into(), TRACKS_MAX - 1)?;
+        Error::check_fits("tracks", u64::from(self.stamp.track) + 1, TRACKS_MAX)?;
         let (name, stamp) = (self.name()?.to_owned(), self.stamp);
         let (header, scan) = match self.data {
             Data::Scan(scan) => {
                 if stamp.unit == Unit::Points {
-                    Error::check_limit("points of a scan", scan.records as u64, Limits::default().points)?;
+                    Error::check_fits("points", scan.records as u64, Limits::default().points)?;
                 }
                 (header_of(&scan)?, *scan)
             }
@@ -204,7 +204,7 @@ impl FrameInput {
                 }
             }
         };
-        Error::check_limit("bytes of a file", header.file_size, Limits::default().file_bytes)?;
+        Error::check_fits("bytes", header.file_size, Limits::default().file_bytes)?;
         let point_count = scan.records as u64;
         Ok(ReadFrame { header: FrameHeader { stamp, point_count, ..header }, scan })
     }
@@ -214,7 +214,7 @@ impl FrameInput {
     /// # Errors
     /// As [`name`](Self::name); also if its track number exceeds what a group can have.
     pub(crate) fn header(&self, bytes: &[u8]) -> Result<FrameHeader> {
-        Error::check_limit("number of a frame's track", self.stamp.track.into(), TRACKS_MAX - 1)?;
+        Error::check_fits("tracks", u64::from(self.stamp.track) + 1, TRACKS_MAX)?;
         Ok(FrameHeader { stamp: self.stamp, ..FrameHeader::of(self.name()?, bytes, 0) })
     }
 }

@@ -4,13 +4,41 @@ use std::io::Cursor;
 
 use super::*;
 use crate::container::{
-    Group, Record, ScannerId, ScannerRecord, Section, SectionKind, Stamp, StreamReader, StreamWriter, Time,
-    TimeSource, Unit,
+    FrameHeader, Group, Record, ScannerId, ScannerRecord, Section, SectionKind, Stamp, StreamReader,
+    StreamWriter, Time, TimeSource, Unit,
 };
 use crate::edit::{Named, cat, cut};
 use crate::frame::*;
 use crate::ground::error::{Error, Limits, Result};
+use crate::scan::{
+    Channel, Column, Field, Layout, NumberRule, PointCloud, Scalar, ScanFile, TextFormat, Wrapping,
+};
 use crate::study::synth::{SynthConfig, drive};
+
+#[test]
+fn no_more_of_a_file_is_written_than_its_header_says() {
+    const RECORDS: usize = 1 << 22;
+    let field = Field::new("v", Scalar::F64);
+    let columns = vec![Column { scalar: Scalar::F64, rule: NumberRule::Fixed(40) }];
+    let wrapping = Wrapping::Text(TextFormat { columns, ..TextFormat::default() });
+    // Each value takes 350 characters: 1.5 GB in all.
+    let bytes = 1e308f64.to_le_bytes().repeat(RECORDS);
+    let scan = ScanFile {
+        layout: Layout { wrapping, fields: vec![field.clone()], ..Layout::default() },
+        records: RECORDS,
+        cloud: PointCloud { channels: vec![Channel { field, bytes }], ..PointCloud::default() },
+        ..ScanFile::default()
+    };
+    let header = FrameHeader { file_size: 10 << 20, ..FrameHeader::default() };
+    let (mut written, mut longest) = (0, 0);
+    let error = decoder::write_checked(&scan, &header, |piece| {
+        (written, longest) = (written + piece.len() as u64, longest.max(piece.len()));
+        Ok(())
+    });
+    let error = error.unwrap_err().to_string();
+    assert!(error.contains("more than 10485760 bytes"), "{error}");
+    assert!(written <= header.file_size && longest < 4 << 20, "{written} {longest}");
+}
 
 /// Seven files: scans, an empty one, an unusual one, and one that is not a scan.
 fn sample_files() -> Vec<(String, Vec<u8>)> {

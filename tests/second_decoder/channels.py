@@ -1,4 +1,4 @@
-"""Sections 8.9 and 8.17 of FORMAT.md: channels and packed bytes."""
+"""Sections 8.9 and 8.17 of FORMAT.md: channels and compressed bytes."""
 
 from array import array
 from math import sqrt
@@ -66,7 +66,7 @@ class Channels:
         if shape == BYTES:
             return self.bytes.code(bits, records * field.width, field.width)
         if shape == PACKED:
-            return packed(bits, field.kind, field.width, records)
+            return decompressed(bits, field.kind, field.width, records)
         if shape != COLUMNS or not models:
             raise Refused("a channel of unknown shape, or of too many columns")
         size = field.size
@@ -500,7 +500,7 @@ class Integers:
             errors[n] = e + f32(2 * distance.bit_length() - e) / 4
 
 
-def packed(bits, kind, width, records):
+def decompressed(bits, kind, width, records):
     """8.17: records of values of one type by a general-purpose back-end."""
     backend, arrangement = bits.plain(8), bits.plain(8)
     if arrangement > 2:

@@ -12,7 +12,7 @@ import sections
 import tokens
 import world
 from back_ends import NAMES, unpacked
-from channels import Beside, Channels, packed
+from channels import Beside, Channels, decompressed
 from container import Reader, Unknown, crc32c
 from entropy import AdaptiveBit, Bits, IntegerModel, adaptive, integers, unzigzag, wrap
 from errors import NotHere, Refused
@@ -145,7 +145,7 @@ class Decoder:
         self.layout = None
         self.columns = scanner.new_columns() if scanner else None
         self.points = sections.Points()
-        self.points_are_packed = AdaptiveBit()
+        self.points_are_compressed = AdaptiveBit()
         self.returns = [Returns(), Returns()]
         self.correction = sections.Correction()
         self.token_correction = tokens.Correction()
@@ -320,9 +320,9 @@ class Decoder:
     def strays(self, n, grid):
         """8.4."""
         bits = self.bits(kinds.POINTS)
-        if not self.points_are_packed.code(bits):
+        if not self.points_are_compressed.code(bits):
             return self.points.code(bits, n, grid)
-        values = packed(bits, F32, 12, n)
+        values = decompressed(bits, F32, 12, n)
         return list(struct.iter_unpack("<3I", values))
 
     def halves(self, parameters):

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use crate::cli::table;
 use crate::container::{Group, ScannerId, ScannerRecord};
 use crate::frame::group::{Explained, GroupDecoder};
-use crate::frame::{FrameParameters, Positions, StepReport};
+use crate::frame::{FrameParameters, Positions, StageReport};
 use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
 use crate::study::metrics;
@@ -72,7 +72,7 @@ impl KnownScanners {
                 let tracks = (0..=track).map(|place| (place == track).then_some(&*scanner));
                 let mut decoder = GroupDecoder::new(tracks, limits).judging_scanners();
                 let decoded =
-                    decoder.decode_frame(&frame.header, &frame.sections, &mut StepReport::default())?;
+                    decoder.decode_frame(&frame.header, &frame.sections, &mut StageReport::default())?;
                 Ok(decoded.explained)
             };
             *explained = decode().map_err(|error: Error| error.within_frame(number, &frame.header.name))?;

@@ -7,7 +7,7 @@ use super::fingerprint::fingerprint;
 use super::journal::{Entry, Journal};
 use super::settings::Settings;
 use crate::container::{CodedFrame, Index, Record, StreamReader};
-use crate::frame::steps::StepReport;
+use crate::frame::stages::StageReport;
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::encoded::{Encoded, FrameOfStream};
 
@@ -78,10 +78,10 @@ fn read_part(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Vec<
 
 impl FrameOfStream {
     fn kept(frame: &CodedFrame) -> Result<Self> {
-        let mut kept = FrameOfStream::of(frame, StepReport::default())?;
+        let mut kept = FrameOfStream::of(frame, StageReport::default())?;
         // The size of the original file, if it differs from the decoded one.
-        kept.steps = StepReport { frames: 1, original: kept.source.file_size, ..StepReport::default() };
-        kept.steps.count_sections(&frame.sections);
+        kept.stages = StageReport { frames: 1, original: kept.source.file_size, ..StageReport::default() };
+        kept.stages.count_sections(&frame.sections);
         Ok(kept)
     }
 }

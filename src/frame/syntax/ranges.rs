@@ -14,7 +14,7 @@ use crate::frame::modelling::RangeModelling;
 use crate::frame::parameters::{Prediction, RangeCoder};
 use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
-use crate::frame::steps::Step;
+use crate::frame::stages::Stage;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::{self, Reference};
@@ -135,7 +135,7 @@ impl ResidualModels {
             (Prediction::None, _) => return Ok(Predictor { ranges: None, snake }),
             (_, Some(reference)) => {
                 let predict = || inter::ranges(reference, &frame.occupancy);
-                let ranges = sections.report().timed(Step::Prediction, predict);
+                let ranges = sections.report().timed(Stage::Prediction, predict);
                 return Ok(Predictor { ranges: Some(ranges), snake });
             }
             _ => {}
@@ -152,7 +152,7 @@ impl ResidualModels {
             .ok_or_else(|| Error::corrupt("regions, which only scanners of the family hdl64 have"))?;
         let rays = Rays::of(scanner, &frame.image.columns);
         let predict = || frame.intra.ranges(&frame.occupancy, &rays);
-        let ranges = sections.report().timed(Step::Prediction, predict);
+        let ranges = sections.report().timed(Stage::Prediction, predict);
         Ok(Predictor { ranges: Some(ranges), snake })
     }
 }
@@ -171,9 +171,9 @@ fn code_residuals<S: SectionCoder>(
     if S::ENCODES {
         let report = sections.report();
         let residuals =
-            report.timed(Step::Prediction, || predictor.residuals(&frame.occupancy, &frame.image.steps));
+            report.timed(Stage::Prediction, || predictor.residuals(&frame.occupancy, &frame.image.steps));
         (payload, packed) =
-            report.timed(Step::Coding, || residual::compress(&residuals, backend, level, packing))?;
+            report.timed(Stage::Coding, || residual::compress(&residuals, backend, level, packing))?;
     }
     sections.payload(SectionKind::Residual, &mut payload);
     let report = sections.report();
@@ -181,10 +181,10 @@ fn code_residuals<S: SectionCoder>(
         let count = frame.cells.len();
         let residuals;
         (residuals, packed) = report
-            .timed(Step::Coding, || residual::decompress(&payload, backend, packing, count))
+            .timed(Stage::Coding, || residual::decompress(&payload, backend, packing, count))
             .map_err(|e| e.within_section(SectionKind::Residual))?;
         frame.image.steps =
-            report.timed(Step::Prediction, || predictor.restore(&frame.occupancy, &residuals));
+            report.timed(Stage::Prediction, || predictor.restore(&frame.occupancy, &residuals));
     }
     report.predicted += packed as u64;
     Ok(())
@@ -199,6 +199,7 @@ fn check_ranges(frame: &FrameParts, scanner: &Scanner) -> Result<()> {
     }
     Ok(())
 }
+
 /// The residuals, coded by an image coder; `side` bytes of the prediction were already written, and no range
 /// exceeds `most` steps. The encoder continues with the decoded ranges.
 fn code_image<S: SectionCoder>(
@@ -214,9 +215,9 @@ fn code_image<S: SectionCoder>(
         let config = sections.effort().image;
         let report = sections.report();
         let residuals =
-            report.timed(Step::Prediction, || predictor.differences(&frame.occupancy, &frame.image.steps));
+            report.timed(Stage::Prediction, || predictor.differences(&frame.occupancy, &frame.image.steps));
         let most_bytes = config.rate.bytes(returns).map(|bytes| bytes.saturating_sub(side));
-        frame.coded_image = report.timed(Step::Coding, || {
+        frame.coded_image = report.timed(Stage::Coding, || {
             image_coding::encode(codec, residuals, &frame.occupancy, config.passes, most_bytes)
         })?;
     }
@@ -224,10 +225,10 @@ fn code_image<S: SectionCoder>(
     let report = sections.report();
     let (rows, columns) = (frame.occupancy.rows(), frame.occupancy.columns());
     let residuals = report
-        .timed(Step::Coding, || image_coding::decode(codec, &frame.coded_image, rows, columns))
+        .timed(Stage::Coding, || image_coding::decode(codec, &frame.coded_image, rows, columns))
         .map_err(|e| e.within_section(SectionKind::Residual))?;
     frame.image.steps =
-        report.timed(Step::Prediction, || predictor.restore_within(&frame.occupancy, &residuals, most));
+        report.timed(Stage::Prediction, || predictor.restore_within(&frame.occupancy, &residuals, most));
     Ok(())
 }
 

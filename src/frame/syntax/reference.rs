@@ -30,7 +30,10 @@ impl PastFrame {
         };
         let past =
             self.get().ok_or_else(|| Error::corrupt("there is no frame before to predict this one from"))?;
-        Error::check_limit("cells of a P frame", frame.occupancy.cells().len() as u64, MOST_CELLS as u64)?;
+        let cells = frame.occupancy.cells().len();
+        if cells > MOST_CELLS {
+            return Err(Error::corrupt(format!("a P frame of {cells} cells, but at most {MOST_CELLS}")));
+        }
         let motion = frame.parameters.motion;
         let scanner = match scanner {
             Scanner::Hdl64(scanner) => scanner,

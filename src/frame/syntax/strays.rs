@@ -9,7 +9,7 @@ use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::models::PointModel;
-use crate::models::channels::{Packed, code_packed};
+use crate::models::channels::{Compressed, code_compressed};
 use crate::scan::Scalar;
 use crate::scanner::Coordinates;
 
@@ -17,7 +17,7 @@ use crate::scanner::Coordinates;
 #[derive(Clone, Default)]
 pub struct StrayModels {
     points: PointModel,
-    are_packed: AdaptiveBit,
+    are_compressed: AdaptiveBit,
 }
 
 impl StrayModels {
@@ -44,19 +44,19 @@ impl StrayModels {
         positions: &mut [[f32; 3]],
     ) -> Result<()> {
         const WIDTH: usize = 12;
-        let mut packed = None;
+        let mut compressed = None;
         if C::ENCODES && lattice.is_none() && 2 * positions.len() > records {
             let mut encoder = ArithmeticEncoder::default();
             self.points.clone().code(&mut encoder, lattice, &mut positions.to_vec());
             let bytes: Vec<u8> = positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
-            packed = Packed::shortest(&bytes, Scalar::F32, WIDTH, level, encoder.finish().len());
+            compressed = Compressed::shortest(&bytes, Scalar::F32, WIDTH, level, encoder.finish().len());
         }
-        if !self.are_packed.code(coder, packed.is_some()) {
+        if !self.are_compressed.code(coder, compressed.is_some()) {
             self.points.code(coder, lattice, positions);
             return Ok(());
         }
         let mut bytes = vec![0; WIDTH * positions.len()];
-        code_packed(coder, packed, Scalar::F32, WIDTH, &mut bytes)?;
+        code_compressed(coder, compressed, Scalar::F32, WIDTH, &mut bytes)?;
         if !C::ENCODES {
             for (position, values) in positions.iter_mut().zip(bytes.chunks_exact(WIDTH)) {
                 *position = std::array::from_fn(|axis| LittleEndian::read_f32(&values[4 * axis..]));

@@ -5,16 +5,16 @@
 
 mod choice;
 mod column;
+mod compressed;
 mod image;
 mod integers;
 mod levels;
-mod packed;
 mod plan;
 mod rules;
 #[cfg(test)]
 mod tests;
 
-pub use packed::{FLOOR_LEVEL, LZMA_GAIN, Packed, code_packed};
+pub use compressed::{Compressed, code_compressed};
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -87,11 +87,11 @@ enum Shape {
     /// As bytes of no known meaning.
     Bytes,
     /// By a general-purpose coder.
-    Packed,
+    Compressed,
 }
 
 impl Shape {
-    const ALL: [Shape; 4] = [Shape::Constant, Shape::Columns, Shape::Bytes, Shape::Packed];
+    const ALL: [Shape; 4] = [Shape::Constant, Shape::Columns, Shape::Bytes, Shape::Compressed];
 
     /// Codes the number of the shape.
     fn code<C: BitCoder>(self, coder: &mut C) -> Result<Self> {
@@ -280,9 +280,9 @@ struct ChannelCoder<'m> {
 
 impl ChannelCoder<'_> {
     fn code<C: BitCoder>(&mut self, coder: &mut C, sources: &Sources, bytes: &mut [u8]) -> Result<()> {
-        let (mut shape, mut plans, mut packed) = (Shape::Bytes, Vec::new(), None);
+        let (mut shape, mut plans, mut compressed) = (Shape::Bytes, Vec::new(), None);
         if C::ENCODES {
-            (shape, plans, packed) = self.choose(sources, bytes);
+            (shape, plans, compressed) = self.choose(sources, bytes);
         }
         match shape.code(coder)? {
             Shape::Constant => {
@@ -297,7 +297,7 @@ impl ChannelCoder<'_> {
                 self.bytes.code(coder, self.width, bytes);
                 Ok(())
             }
-            Shape::Packed => code_packed(coder, packed, self.scalar, self.width, bytes),
+            Shape::Compressed => code_compressed(coder, compressed, self.scalar, self.width, bytes),
             Shape::Columns => {
                 plans.resize_with(self.columns.len(), Plan::default);
                 match &mut *self.columns {
@@ -318,7 +318,7 @@ impl ChannelCoder<'_> {
     }
 
     /// Chooses the shortest way to code a channel.
-    fn choose(&mut self, sources: &Sources, bytes: &[u8]) -> (Shape, Vec<Plan>, Option<Packed>) {
+    fn choose(&mut self, sources: &Sources, bytes: &[u8]) -> (Shape, Vec<Plan>, Option<Compressed>) {
         /// In bytes: nothing else is tried if the columns take no more than this.
         const SMALL: usize = 64;
         if is_constant(bytes, self.width) {
@@ -337,11 +337,11 @@ impl ChannelCoder<'_> {
         if is_sure || !plans.is_empty() && size <= SMALL {
             return (Shape::Columns, plans, None);
         }
-        let (shape, packed) = self.choose_shape(sources, bytes, &plans, size);
+        let (shape, compressed) = self.choose_shape(sources, bytes, &plans, size);
         if shape != Shape::Columns {
             self.columns.iter_mut().for_each(|model| model.tried = None);
         }
-        (shape, plans, packed)
+        (shape, plans, compressed)
     }
 
     /// The shape that takes the fewest bytes; `size` is that of the columns.
@@ -351,7 +351,7 @@ impl ChannelCoder<'_> {
         bytes: &[u8],
         plans: &[Plan],
         size: usize,
-    ) -> (Shape, Option<Packed>) {
+    ) -> (Shape, Option<Compressed>) {
         /// Sizes estimated from a sample are accurate to within one part in this number.
         const UNSURE: usize = 8;
         let sampled = choice::gather(bytes, self.width, &choice::sample(bytes.len() / self.width));
@@ -361,8 +361,8 @@ impl ChannelCoder<'_> {
             false => (size, Shape::Columns),
         };
         let most = best.saturating_add(best / UNSURE);
-        let packed = Packed::shortest(bytes, self.scalar, self.width, self.level, most);
-        let Some(packed) = packed else { return (shape, None) };
+        let compressed = Compressed::shortest(bytes, self.scalar, self.width, self.level, most);
+        let Some(compressed) = compressed else { return (shape, None) };
         // Models learn more from all records than from a sample.
         if sampled.len() < bytes.len() {
             best = match shape {
@@ -370,8 +370,8 @@ impl ChannelCoder<'_> {
                 _ => self.size_as_bytes(bytes),
             };
         }
-        match packed.is_shorter_than(best) {
-            true => (Shape::Packed, Some(packed)),
+        match compressed.is_shorter_than(best) {
+            true => (Shape::Compressed, Some(compressed)),
             false => (shape, None),
         }
     }

@@ -22,13 +22,20 @@ pub enum Plan {
     Image(Image),
 }
 
-/// The number of a [`Plan`] in the stream.
+/// The kind of a [`Plan`].
+#[derive(Clone, Copy)]
 enum Method {
-    Constant = 0,
-    Same = 1,
-    Integers = 2,
-    Levels = 3,
-    Image = 4,
+    Constant,
+    Same,
+    Integers,
+    Levels,
+    Image,
+}
+
+impl Method {
+    /// All methods, in the order of their numbers.
+    const ALL: [Method; 5] =
+        [Method::Constant, Method::Same, Method::Integers, Method::Levels, Method::Image];
 }
 
 /// How values become integers, and what predicts these.
@@ -153,10 +160,11 @@ impl Plan {
             Plan::Levels(_) => (Method::Levels, 0),
             Plan::Image(_) => (Method::Image, 0),
         };
-        match coder.code_plain(method as u64, 8) {
-            0 => Ok(Plan::Constant),
-            1 => Ok(Plan::Same(coder.code_plain(source.into(), 16) as u16)),
-            2 => {
+        let number = coder.code_plain(method as u64, 8) as usize;
+        match Method::ALL.get(number).copied().ok_or_else(unknown)? {
+            Method::Constant => Ok(Plan::Constant),
+            Method::Same => Ok(Plan::Same(coder.code_plain(source.into(), 16) as u16)),
+            Method::Integers => {
                 let Integers { scale, has_exceptions, key, lag, geometry, rule } = match self {
                     Plan::Integers(integers) => integers,
                     _ => Integers::default(),
@@ -171,14 +179,14 @@ impl Plan {
                 let rule = Rule::from_code(coder.code_plain(Rule::to_code(rule).into(), 8) as u8);
                 Ok(Plan::Integers(Integers { scale, has_exceptions, key, lag, geometry, rule }))
             }
-            3 => {
+            Method::Levels => {
                 let levels = if let Plan::Levels(levels) = self { levels } else { Levels::default() };
                 let code = coder.code_plain(levels.scale.to_code().into(), 8) as u8;
                 let scale = Scale::from_code(code).ok_or_else(unknown)?;
                 let has_exceptions = coder.code_plain(levels.has_exceptions.into(), 1) == 1;
                 Ok(Plan::Levels(Levels { scale, has_exceptions }))
             }
-            4 => {
+            Method::Image => {
                 let image = if let Plan::Image(image) = self { image } else { Image::default() };
                 let code = coder.code_plain(image.scale.to_code().into(), 8) as u8;
                 Ok(Plan::Image(Image {
@@ -187,7 +195,6 @@ impl Plan {
                     divisor: (coder.code_plain(image.divisor.into(), 16) as u16).max(1),
                 }))
             }
-            _ => Err(unknown()),
         }
     }
 }

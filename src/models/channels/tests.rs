@@ -234,7 +234,7 @@ fn what_follows_from_the_position_costs_little() {
 }
 
 #[test]
-fn what_repeats_far_away_is_packed() {
+fn what_repeats_far_away_is_compressed() {
     // Bytes without a rule that recur, but not after a fixed number of records.
     let turn: Vec<u8> = (0..20_000).map(|n| noise(n) as u8).collect();
     let field = Field { count: 20, ..Field::padding(1) };

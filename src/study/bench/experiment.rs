@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use super::sample::Sample;
 use crate::frame::settings::{EncoderConfig, ProjectionKind};
-use crate::frame::{Positions, StepReport};
+use crate::frame::{Positions, StageReport};
 use crate::ground::error::Result;
 use crate::scan::PointCloud;
 use crate::scanner::{FLOAT_RANGES, RANGE_STEP_UM, REACH, RangeImage, Scanner, project_nearest};
@@ -26,7 +26,7 @@ pub struct Coded {
 /// A frame, encoded and decoded.
 pub struct CodedFrame {
     /// Time and size of each step of encoding. If several predictions were tried, those of the chosen one.
-    pub encoding: StepReport,
+    pub encoding: StageReport,
     /// The decoded frame.
     pub decoded: DecodedFrame,
 }
@@ -58,7 +58,7 @@ pub fn run(sample: &Sample, config: &EncoderConfig, on_frame: &(dyn Fn() + Sync)
         Ok(())
     })?;
     let decoding_time = start.elapsed();
-    let frames = encoded.frame_steps.into_iter().zip(decoded);
+    let frames = encoded.frame_stages.into_iter().zip(decoded);
     let frames = frames.map(|(encoding, decoded)| CodedFrame { encoding, decoded }).collect();
     Ok(Coded { frames, stream_bytes: encoded.stream_bytes, encoding_time, decoding_time })
 }

@@ -9,7 +9,7 @@ use super::rivals::Rivals;
 use super::runs::Runs;
 use super::sample::Sample;
 use super::tables::{Method, column, rows_of_methods};
-use crate::frame::Step;
+use crate::frame::Stage;
 
 /// Tables IV and V: seconds of each step of encoding a frame, for intra and for inter coding.
 pub fn steps(sample: &Sample, runs: &Runs) -> Vec<Section> {
@@ -21,8 +21,8 @@ pub fn steps(sample: &Sample, runs: &Runs) -> Vec<Section> {
         place: 0,
         frames: &all,
         coded: |runs, name| runs.of(name).map(|run| &run.intra),
-        published: [Step::Clustering, Step::Prediction].into_iter().zip(published::INTRA_SECONDS).collect(),
-        without: &[Step::Registration],
+        published: [Stage::Clustering, Stage::Prediction].into_iter().zip(published::INTRA_SECONDS).collect(),
+        without: &[Stage::Registration],
     };
     let inter = Steps {
         number: "Table V",
@@ -30,8 +30,11 @@ pub fn steps(sample: &Sample, runs: &Runs) -> Vec<Section> {
         place: 1,
         frames: &later,
         coded: |runs, name| runs.of(name).and_then(|run| run.inter.as_ref()),
-        published: [Step::Registration, Step::Prediction].into_iter().zip(published::INTER_SECONDS).collect(),
-        without: &[Step::Clustering, Step::Contour],
+        published: [Stage::Registration, Stage::Prediction]
+            .into_iter()
+            .zip(published::INTER_SECONDS)
+            .collect(),
+        without: &[Stage::Clustering, Stage::Contour],
     };
     vec![intra.table(sample, runs), inter.table(sample, runs)]
 }
@@ -45,16 +48,16 @@ struct Steps<'a> {
     frames: &'a [usize],
     coded: fn(&'a Runs, &str) -> Option<&'a Coded>,
     /// Seconds that do not depend on the coder.
-    published: Vec<(Step, f64)>,
+    published: Vec<(Stage, f64)>,
     /// Steps that this kind of frame does not have.
-    without: &'a [Step],
+    without: &'a [Stage],
 }
 
 impl<'a> Steps<'a> {
     fn table(&self, sample: &Sample, runs: &'a Runs) -> Section {
         let columns = self.columns(runs);
         let mut rows = Vec::new();
-        for step in Step::ALL.into_iter().filter(|step| !self.without.contains(step)) {
+        for step in Stage::ALL.into_iter().filter(|step| !self.without.contains(step)) {
             let cell = |(coder, origin): &(&PublishedCoder, Origin)| match origin {
                 Origin::Measured => self.mean(runs, coder.name, Some(step)),
                 Origin::Published => self.published(coder, step),
@@ -93,7 +96,7 @@ impl<'a> Steps<'a> {
     }
 
     /// Seconds of a step, or of all steps.
-    fn mean(&self, runs: &'a Runs, name: &str, step: Option<Step>) -> Option<f64> {
+    fn mean(&self, runs: &'a Runs, name: &str, step: Option<Stage>) -> Option<f64> {
         let coded = (self.coded)(runs, name)?;
         coded.mean(self.frames.iter().copied(), |frame| {
             let time = step.map_or(frame.encoding.total_time(), |step| frame.encoding.time(step));
@@ -101,9 +104,9 @@ impl<'a> Steps<'a> {
         })
     }
 
-    fn published(&self, coder: &PublishedCoder, step: Step) -> Option<f64> {
+    fn published(&self, coder: &PublishedCoder, step: Stage) -> Option<f64> {
         match step {
-            Step::Coding => Some(coder.seconds[self.place][0]),
+            Stage::Coding => Some(coder.seconds[self.place][0]),
             _ => self.published.iter().find(|(other, _)| *other == step).map(|(_, seconds)| *seconds),
         }
     }

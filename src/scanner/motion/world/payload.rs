@@ -3,7 +3,7 @@
 use super::{Correction, Formula, Knot, Pose, SLOTS, Times, World, start};
 use crate::entropy::{AdaptiveBit, ArithmeticDecoder, ArithmeticEncoder, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
-use crate::ground::varint::{read_signed, read_unsigned, unzigzag, write_signed, write_unsigned, zigzag};
+use crate::ground::varint::{read_signed, read_within, unzigzag, write_signed, write_unsigned, zigzag};
 use crate::scanner::motion::units::UnitModel;
 
 /// The section's name in errors.
@@ -84,23 +84,20 @@ impl World {
         let [rx, ry, rz, x, y, z] = values;
         (world.rotation, world.origin) = ([rx, ry, rz], [x, y, z]);
         for lattice in &mut world.lattices {
-            let number = read_bounded(input, "exponent of a lattice", FINEST + 1)?;
+            let number = read_within(input, "exponent of a world's lattice", 0..=FINEST + 1)?;
             *lattice = number.checked_sub(1).map(|exponent| -(exponent as i32));
         }
-        let border = read_bounded(input, "first border", MOST_KNOTS)? as u32;
-        let short = read_bounded(input, "first border that is not late", MOST_KNOTS)? as u32;
+        let border = read_within(input, "first border of a world", 0..=MOST_KNOTS)? as u32;
+        let short = read_within(input, "first border of a world that is not late", 0..=MOST_KNOTS)? as u32;
         world.times = Times { border, short };
         let mut last = Pose::default();
         for _ in 0..firings.min(border as usize + 1) {
             world.first.push(read_pose(input, &mut last)?);
         }
-        let knots = read_bounded(input, "knots", MOST_KNOTS)?;
-        if knots < 2 {
-            return Err(Error::corrupt(format!("{WHAT}: a path without an end")));
-        }
+        let knots = read_within(input, "knots of a world", 2..=MOST_KNOTS)?;
         let mut time = 0;
         for number in 0..knots {
-            let later = read_bounded(input, "time", LATEST)?;
+            let later = read_within(input, "time of a world", 0..=LATEST)?;
             if number > 0 && later == 0 || time + later > LATEST {
                 return Err(Error::corrupt(format!("{WHAT}: knots out of order")));
             }
@@ -135,13 +132,6 @@ fn read_value(input: &mut &[u8], most: f64) -> Result<f64> {
     let value = f64::from_le_bytes(*first);
     // False for NaN too.
     if value.abs() <= most { Ok(value) } else { Err(Error::corrupt(format!("{WHAT}: {value} is too large"))) }
-}
-
-fn read_bounded(input: &mut &[u8], what: &str, most: u64) -> Result<u64> {
-    match read_unsigned(input, WHAT)? {
-        got if got <= most => Ok(got),
-        got => Err(Error::over_limit(format!("{WHAT}: {what}"), got, most)),
-    }
 }
 
 /// The adaptive models of the corrections.

@@ -46,9 +46,11 @@ fn damage_is_refused_or_does_no_harm() {
         }
         bytes.truncate(if round % 2 == 0 { bytes.len() } else { random.below(bytes.len() + 1) });
         if let Ok(world) = World::from_payload(&bytes, &points) {
+            let measured = &points;
             let mut points = points.clone();
             points[1] = [f32::NAN, f32::MAX, f32::NEG_INFINITY];
             world.apply(&mut points);
+            assert_eq!(World::from_payload(&world.to_payload(measured), measured).unwrap(), world);
         }
     }
 }

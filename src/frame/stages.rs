@@ -1,13 +1,13 @@
-//! Time and size of each coding step, as in the article's Tables II to VI.
+//! Time and size of each stage of coding, as in the article's Tables II to VI.
 
 use std::time::Duration;
 
 use crate::container::{Section, SectionKind};
 use crate::ground::clock::Instant;
 
-/// The steps whose time is measured.
+/// The stages whose time is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
+pub enum Stage {
     /// The outlier filter (III-A).
     Outliers,
     /// Conversion of points to a range image or back (IV-A).
@@ -26,37 +26,37 @@ pub enum Step {
     Rest,
 }
 
-impl Step {
-    /// All steps, in the order in which an encoder takes them.
-    pub const ALL: [Step; 8] = [
-        Step::Outliers,
-        Step::Conversion,
-        Step::Registration,
-        Step::Clustering,
-        Step::Prediction,
-        Step::Contour,
-        Step::Coding,
-        Step::Rest,
+impl Stage {
+    /// All stages, in the order in which an encoder takes them.
+    pub const ALL: [Stage; 8] = [
+        Stage::Outliers,
+        Stage::Conversion,
+        Stage::Registration,
+        Stage::Clustering,
+        Stage::Prediction,
+        Stage::Contour,
+        Stage::Coding,
+        Stage::Rest,
     ];
 
-    /// The step's name in reports: lower case.
+    /// The stage's name in reports: lower case.
     pub fn name(self) -> &'static str {
         match self {
-            Step::Outliers => "outlier removal",
-            Step::Conversion => "conversion",
-            Step::Registration => "registration",
-            Step::Clustering => "clustering",
-            Step::Prediction => "prediction",
-            Step::Contour => "contour map",
-            Step::Coding => "coding of ranges",
-            Step::Rest => "the rest",
+            Stage::Outliers => "outlier removal",
+            Stage::Conversion => "conversion",
+            Stage::Registration => "registration",
+            Stage::Clustering => "clustering",
+            Stage::Prediction => "prediction",
+            Stage::Contour => "contour map",
+            Stage::Coding => "coding of ranges",
+            Stage::Rest => "the rest",
         }
     }
 }
 
 /// Bytes and times, summed over frames.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct StepReport {
+pub struct StageReport {
     /// Number of frames.
     pub frames: u64,
     /// Bytes of the files.
@@ -73,12 +73,12 @@ pub struct StepReport {
     pub ranges: u64,
     /// Coded bytes of everything else.
     pub rest: u64,
-    pub(crate) times: [Duration; Step::ALL.len()],
+    pub(crate) times: [Duration; Stage::ALL.len()],
 }
 
-impl StepReport {
+impl StageReport {
     /// Adds another report.
-    pub fn add(&mut self, other: &StepReport) {
+    pub fn add(&mut self, other: &StageReport) {
         self.frames += other.frames;
         self.original += other.original;
         self.converted += other.converted;
@@ -98,7 +98,7 @@ impl StepReport {
     }
 
     /// The time of a step.
-    pub fn time(&self, step: Step) -> Duration {
+    pub fn time(&self, step: Stage) -> Duration {
         self.times[step as usize]
     }
 
@@ -108,7 +108,7 @@ impl StepReport {
     }
 
     /// Runs a step and measures its time.
-    pub(crate) fn timed<T>(&mut self, step: Step, run: impl FnOnce() -> T) -> T {
+    pub(crate) fn timed<T>(&mut self, step: Stage, run: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = run();
         self.times[step as usize] += start.elapsed();
@@ -116,7 +116,7 @@ impl StepReport {
     }
 
     /// Adds the time since `start` to a step.
-    pub(crate) fn took(&mut self, step: Step, start: Instant) {
+    pub(crate) fn took(&mut self, step: Stage, start: Instant) {
         self.times[step as usize] += start.elapsed();
     }
 
@@ -124,8 +124,8 @@ impl StepReport {
     /// counts as the rest.
     pub(crate) fn took_section(&mut self, kind: SectionKind, start: Instant) {
         match kind {
-            SectionKind::Contour => self.took(Step::Contour, start),
-            SectionKind::Range => self.took(Step::Coding, start),
+            SectionKind::Contour => self.took(Stage::Contour, start),
+            SectionKind::Range => self.took(Stage::Coding, start),
             _ => {}
         }
     }
@@ -134,7 +134,7 @@ impl StepReport {
     /// `before`.
     pub(crate) fn took_rest(&mut self, start: Instant, before: Duration) {
         let others = self.total_time().saturating_sub(before);
-        self.times[Step::Rest as usize] += start.elapsed().saturating_sub(others);
+        self.times[Stage::Rest as usize] += start.elapsed().saturating_sub(others);
     }
 
     /// Adds a frame's sections.

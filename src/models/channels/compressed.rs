@@ -1,6 +1,6 @@
 //! Columns coded by a general-purpose coder after their bytes are arranged for it. FORMAT.md 8.17.
 
-use crate::backend::{self, LZMA, Level, ZSTD};
+use crate::backend::{self, LZMA, LZMA_GAIN, LZMA_LEVEL, Level, ZSTD};
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::scan::Scalar;
@@ -67,15 +67,15 @@ fn number(bytes: &[u8]) -> u64 {
     bytes.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte))
 }
 
-/// Records as packed by a general-purpose coder.
-pub struct Packed {
+/// Records compressed by a general-purpose coder.
+pub struct Compressed {
     backend: u8,
     arrangement: Arrangement,
     payload: Vec<u8>,
 }
 
-impl Packed {
-    /// The shortest packing; `None` if none is shorter than `most` bytes, or if `most` is small anyway.
+impl Compressed {
+    /// The shortest way; `None` if none is shorter than `most` bytes, or if `most` is small anyway.
     pub fn shortest(bytes: &[u8], scalar: Scalar, width: usize, level: Level, most: usize) -> Option<Self> {
         /// In 16ths of a byte per record: records that take less than this are explained by the models.
         const EXPLAINED: usize = 1;
@@ -90,20 +90,20 @@ impl Packed {
         // The arrangement that suits one coder usually suits the other.
         let quick = quick.enumerate().filter_map(|(at, payload)| Some((at, payload?)));
         let (best, payload) = quick.min_by_key(|(_, payload)| payload.len())?;
-        let mut packed = Packed { backend: ZSTD, arrangement: Arrangement::ALL[best], payload };
-        if level.number() >= FLOOR_LEVEL && packed.is_worth_lzma(bytes, scalar, width, most) {
+        let mut compressed = Compressed { backend: ZSTD, arrangement: Arrangement::ALL[best], payload };
+        if level.number() >= LZMA_LEVEL && compressed.is_worth_lzma(bytes, scalar, width, most) {
             let tried = (0..arranged.len()).filter(|&at| at == best || level.number() >= THOROUGH_LEVEL);
             for at in tried {
                 let payload = backend::compress_hardest(&arranged[at]).ok()?;
-                if payload.len() < packed.payload.len() {
-                    packed = Packed { backend: LZMA, arrangement: Arrangement::ALL[at], payload };
+                if payload.len() < compressed.payload.len() {
+                    compressed = Compressed { backend: LZMA, arrangement: Arrangement::ALL[at], payload };
                 }
             }
         }
-        packed.is_shorter_than(most).then_some(packed)
+        compressed.is_shorter_than(most).then_some(compressed)
     }
 
-    /// Whether LZMA may take fewer than `most` bytes where zstd takes what is packed here: by what it gains on some
+    /// Whether LZMA may take fewer than `most` bytes where zstd takes what is compressed here: by what it gains on some
     /// of the records, as it takes long for all of them.
     fn is_worth_lzma(&self, bytes: &[u8], scalar: Scalar, width: usize, most: usize) -> bool {
         /// Records of the sample. Fewer than four times as many are not sampled.
@@ -133,32 +133,32 @@ impl Packed {
 
 /// From this level on, LZMA is tried on every arrangement.
 const THOROUGH_LEVEL: u8 = 7;
-/// The smallest fraction of zstd's size that LZMA achieves, except if repetitions lie far apart.
-pub const LZMA_GAIN: f64 = 0.5;
-/// The level from which on the floor is the size that LZMA achieves: the first level above 3; the context coder has
-/// no 4 and 5, so in effect 6.
-pub const FLOOR_LEVEL: u8 = 4;
-/// Codes records that a general-purpose coder has packed. A decoder passes zeros of the same length, and `None` for
-/// `packed`.
+
+/// Codes records that a general-purpose coder has compressed. A decoder passes zeros of the same length, and `None` for
+/// `compressed`.
 ///
 /// # Errors
 /// If a decoder's input is damaged.
-pub fn code_packed<C: BitCoder>(
+pub fn code_compressed<C: BitCoder>(
     coder: &mut C,
-    packed: Option<Packed>,
+    compressed: Option<Compressed>,
     scalar: Scalar,
     width: usize,
     bytes: &mut [u8],
 ) -> Result<()> {
-    let mut packed =
-        packed.unwrap_or(Packed { backend: 0, arrangement: Arrangement::Records, payload: Vec::new() });
-    let backend = coder.code_plain(packed.backend.into(), 8) as u8;
-    let arrangement = coder.code_plain(packed.arrangement as u64, 8) as usize;
+    let mut compressed = compressed.unwrap_or(Compressed {
+        backend: 0,
+        arrangement: Arrangement::Records,
+        payload: Vec::new(),
+    });
+    let backend = coder.code_plain(compressed.backend.into(), 8) as u8;
+    let arrangement = coder.code_plain(compressed.arrangement as u64, 8) as usize;
     let arrangement = Arrangement::ALL.get(arrangement);
-    let arrangement = arrangement.ok_or_else(|| Error::unsupported("packed bytes: unknown arrangement"))?;
-    code_payload(coder, &mut packed.payload)?;
+    let arrangement =
+        arrangement.ok_or_else(|| Error::unsupported("compressed bytes: unknown arrangement"))?;
+    code_payload(coder, &mut compressed.payload)?;
     if !C::ENCODES {
-        let arranged = backend::decompress(backend::by_id(backend)?, &packed.payload, bytes.len())?;
+        let arranged = backend::decompress(backend::by_id(backend)?, &compressed.payload, bytes.len())?;
         arrangement.undo(&arranged, scalar, width, bytes);
     }
     Ok(())
@@ -169,7 +169,7 @@ fn code_payload<C: BitCoder>(coder: &mut C, payload: &mut Vec<u8>) -> Result<()>
     let length = IntegerModel::default().code(coder, payload.len() as u64);
     // Each takes eight bits, as compressed bytes are all equally likely.
     if length > coder.most_bits() / 8 || length > usize::MAX as u64 / 2 {
-        return Err(Error::corrupt("packed bytes: more than the section can hold"));
+        return Err(Error::corrupt("compressed bytes: more than the section can hold"));
     }
     if C::ENCODES {
         payload.iter().for_each(|&byte| {
@@ -179,7 +179,7 @@ fn code_payload<C: BitCoder>(coder: &mut C, payload: &mut Vec<u8>) -> Result<()>
     }
     for _ in 0..length {
         if coder.is_exhausted() {
-            return Err(Error::corrupt("packed bytes: cut short"));
+            return Err(Error::corrupt("compressed bytes: cut short"));
         }
         payload.push(coder.code_plain(0, 8) as u8);
     }
