@@ -1,6 +1,6 @@
 //! The positions of blanks, the records without a measured point: the formula's position at a range of 0
-//! (whose zeros have the signs of the direction), the same as for the blank before (zeros, NaN, the position
-//! of the scanner), or anything else. FORMAT.md 8.19.
+//! (whose zeros have the signs of the direction), the same as for the last blank that had another (zeros, NaN, the
+//! position of the scanner), or anything else. FORMAT.md 8.19.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::scanner::Coordinates;
@@ -22,7 +22,7 @@ pub struct BlankModel {
     same_kind: [AdaptiveBit; KINDS],
     /// Which of the two other kinds it is.
     later_kind: [AdaptiveBit; KINDS],
-    /// Differences from the blank before, in float32 units.
+    /// Differences from the last blank without the formula's position, in float32 units.
     differences: [IntegerModel; 3],
 }
 
@@ -58,7 +58,10 @@ impl BlankModel {
                 kind = if is_later { second } else { first };
             }
             match kind {
-                Kind::Formula => *position = formula,
+                Kind::Formula => {
+                    *position = formula;
+                    continue;
+                }
                 Kind::Before => *position = before,
                 Kind::Other => {
                     for axis in 0..3 {

@@ -1,11 +1,14 @@
 //! Points one by one, for scans without a scanner model and for the strays of others. FORMAT.md 8.4.
 //!
-//! A point is predicted from those before it and, if the points are in turns, from the nearest one of the
-//! preceding turn: first its larger horizontal coordinate, then the other one along the expected direction,
-//! then the height at the resulting distance.
+//! A point that is the same as an earlier one to the bit is coded as its repeat. All others are predicted from those
+//! before and, if the points are in turns, from the nearest one of the preceding turn: first the larger horizontal
+//! coordinate, then the other one along the expected direction, then the height at the resulting distance.
+
+use std::collections::HashMap;
 
 use super::least_squares::LeastSquares;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
+use crate::ground::varint::saturated;
 use crate::scanner::Coordinates;
 
 /// Number of candidate predictions for each coordinate; the one with the smallest recent errors is used.
@@ -16,6 +19,7 @@ const ERROR_BITS: usize = 36;
 /// The adaptive models of points.
 #[derive(Clone)]
 pub struct PointModel {
+    repeats: RepeatModel,
     coordinates: [CoordinateModel; 3],
     /// Height as a function of distance within a turn: a beam's cone.
     cone: LeastSquares<4>,
@@ -24,6 +28,7 @@ pub struct PointModel {
 impl Default for PointModel {
     fn default() -> Self {
         PointModel {
+            repeats: RepeatModel::default(),
             coordinates: std::array::from_fn(|_| CoordinateModel::new()),
             cone: LeastSquares::new(0.98),
         }
@@ -41,9 +46,15 @@ impl PointModel {
     ) {
         let grid = grid.unwrap_or_else(|| code_grid(coder, Coordinates::of_most(positions)));
         let mut turns = TurnTracker::default();
+        let mut repeats = Repeats::default();
         for index in 0..positions.len() {
             if coder.is_exhausted() {
                 return;
+            }
+            if self.repeats.code(coder, &mut repeats, positions, index) {
+                let [x, y, _] = finite(positions[index]);
+                turns.push(index, direction(x, y));
+                continue;
             }
             let before = |distance: usize| index.checked_sub(distance).map(|i| finite(positions[i]));
             let west = before(1).unwrap_or_default();
@@ -93,6 +104,120 @@ impl PointModel {
         let rise = (finite(position)[2] - west[2]).clamp(-CONE_REACH, CONE_REACH) as f32;
         self.cone.learn(&[farther, 0.0, 0.0, 0.0], rise, 1.0);
         position
+    }
+}
+
+/// How a point is the same as an earlier one.
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
+enum Repeat {
+    /// It is not, or is coded as if it were not.
+    #[default]
+    No,
+    /// The point at the last distance: in a run of second returns that are the same as the first ones.
+    Next,
+    /// The position that the last `At` repeated, at first (0, 0, 0): that of points without a return.
+    Held,
+    /// The point so many points before.
+    At(usize),
+}
+
+impl Repeat {
+    /// Its number as a context.
+    fn kind(self) -> usize {
+        match self {
+            Repeat::No => 0,
+            Repeat::Next => 1,
+            Repeat::Held => 2,
+            Repeat::At(_) => 3,
+        }
+    }
+}
+
+/// Number of kinds of repeats.
+const REPEAT_KINDS: usize = 4;
+
+/// The adaptive models of repeats, by the kind of the point before.
+#[derive(Clone, Default)]
+struct RepeatModel {
+    /// Also by whether the next point of a run is itself a repeat, which usually ends the run.
+    is_repeat: [[AdaptiveBit; 2]; REPEAT_KINDS],
+    is_at: [AdaptiveBit; REPEAT_KINDS],
+    is_held: [AdaptiveBit; REPEAT_KINDS],
+    distances: IntegerModel,
+}
+
+/// The repeats of a frame so far.
+#[derive(Default)]
+struct Repeats {
+    last: Repeat,
+    /// The last distance; 0 if there was none.
+    distance: usize,
+    held: [f32; 3],
+    /// For each point, whether it is a repeat.
+    are_repeats: Vec<bool>,
+    /// Known to an encoder only: the last point with these bits.
+    places: HashMap<[u32; 3], usize>,
+}
+
+impl Repeats {
+    /// How a point is coded.
+    fn find(&mut self, positions: &[[f32; 3]], index: usize) -> Repeat {
+        /// A run that begins with a new distance has at least this many points; what fewer points have in common may
+        /// be chance.
+        const SHORTEST: usize = 4;
+        let bits = |index: usize| positions.get(index).map(|position| position.map(f32::to_bits));
+        let own = positions[index].map(f32::to_bits);
+        let before = self.places.insert(own, index);
+        let is_next = self.distance > 0 && index.checked_sub(self.distance).and_then(bits) == Some(own);
+        let is_no_place = positions[index].iter().any(|value| !value.is_finite());
+        let is_run = |before: usize| {
+            (1..SHORTEST).all(|n| bits(index + n).is_some_and(|own| Some(own) == bits(before + n)))
+        };
+        match before {
+            _ if is_next => Repeat::Next,
+            _ if own == self.held.map(f32::to_bits) => Repeat::Held,
+            Some(before) if is_no_place || is_run(before) => Repeat::At(index - before),
+            _ => Repeat::No,
+        }
+    }
+}
+
+impl RepeatModel {
+    /// Codes whether a point is the same as an earlier one. If so, sets its position and returns true.
+    fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        repeats: &mut Repeats,
+        positions: &mut [[f32; 3]],
+        index: usize,
+    ) -> bool {
+        let repeat = if C::ENCODES { repeats.find(positions, index) } else { Repeat::No };
+        let kind = repeats.last.kind();
+        // The distance is at most `index`, except in damaged streams.
+        let source = |distance: usize| index.checked_sub(distance).filter(|_| distance > 0);
+        let ends = source(repeats.distance).is_some_and(|source| repeats.are_repeats[source]);
+        let is_repeat = self.is_repeat[kind][usize::from(ends)].code(coder, repeat != Repeat::No);
+        repeats.are_repeats.push(is_repeat);
+        if !is_repeat {
+            repeats.last = Repeat::No;
+            return false;
+        }
+        let position_of = |distance: usize| source(distance).map_or([0.0; 3], |source| positions[source]);
+        let position = if self.is_at[kind].code(coder, matches!(repeat, Repeat::At(_))) {
+            let distance = if let Repeat::At(distance) = repeat { distance } else { 0 };
+            repeats.distance = saturated(self.distances.code(coder, distance as u64));
+            repeats.last = Repeat::At(repeats.distance);
+            repeats.held = position_of(repeats.distance);
+            repeats.held
+        } else if self.is_held[kind].code(coder, repeat == Repeat::Held) {
+            repeats.last = Repeat::Held;
+            repeats.held
+        } else {
+            repeats.last = Repeat::Next;
+            position_of(repeats.distance)
+        };
+        positions[index] = position;
+        true
     }
 }
 

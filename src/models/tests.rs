@@ -1,7 +1,10 @@
 use super::magnitude::{magnitude_level, magnitude_of_level};
 use super::*;
-use crate::entropy::{TokenCoder, TokenReader, TokenTables, TokenWriter};
+use crate::entropy::{
+    ArithmeticDecoder, ArithmeticEncoder, TokenCoder, TokenReader, TokenTables, TokenWriter,
+};
 use crate::ground::grid::Grid;
+use crate::ground::random::Rng;
 use crate::models::IntensityScale;
 use crate::scan::squared_distance;
 use crate::scanner::Coordinates;
@@ -254,4 +257,43 @@ fn levels_rise_with_the_magnitude() {
         assert_eq!(magnitude_level(least, 40), level);
         assert!(least == 0 || magnitude_level(least - 1, 40) == level - 1);
     }
+}
+
+/// The bytes that points take without a scanner, which come back.
+fn size_of_points(points: &[[f32; 3]]) -> usize {
+    let mut encoder = ArithmeticEncoder::default();
+    PointModel::default().code(&mut encoder, None, &mut points.to_vec());
+    let bytes = encoder.finish();
+    let mut decoded = vec![[0.0; 3]; points.len()];
+    PointModel::default().code(&mut ArithmeticDecoder::new(&bytes), None, &mut decoded);
+    let bits = |points: &[[f32; 3]]| points.as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    assert!(bits(&decoded) == bits(points));
+    bytes.len()
+}
+
+#[test]
+fn repeated_points_cost_little() {
+    let mut random = Rng::keyed(7, &[]);
+    let mut point = || [0; 3].map(|_| random.between(-50.0, 50.0) as f32);
+    let points: Vec<_> = (0..6000).map(|_| point()).collect();
+    let once = size_of_points(&points);
+    // Each column of some 60 lasers a second time, one column later.
+    let columns = points.chunk_by(|_, next| next[0] < 48.0);
+    let twice: Vec<_> = columns.flat_map(|column| [column, column].concat()).collect();
+    let runs = size_of_points(&twice) - once;
+    assert!(runs < 1000, "{runs} bytes for {} columns", points.len() / 50);
+    // Every third point without a return, whatever stands for that.
+    let nan = f32::from_bits(0x7fc0_1234);
+    for nothing in [[nan; 3], [nan, 0.0, f32::INFINITY], [0.0; 3]] {
+        let mut n = 0;
+        let with = points.iter().flat_map(|point| {
+            n = (n * 5 + 1) % 997;
+            if n % 3 == 0 { vec![nothing, *point] } else { vec![*point] }
+        });
+        let with: Vec<_> = with.collect();
+        let places = size_of_points(&with) - once;
+        let bits = 8.0 * places as f64 / (with.len() - points.len()) as f64;
+        assert!(bits < 6.0, "{bits} bits for each place without a return");
+    }
+    assert!(size_of_points(&[[nan; 3]; 9000]) < 100);
 }

@@ -23,10 +23,11 @@ pub enum Coordinates {
 }
 
 impl Coordinates {
-    /// The grid of some coordinates (metres): millimetres if nearly all are whole millimetres.
+    /// The grid of some coordinates (metres): millimetres if nearly all are whole millimetres. Those that are not finite
+    /// stand for no place and do not count.
     pub fn of<'a>(values: impl Iterator<Item = &'a f32>) -> Self {
         let (mut on_grid, mut total) = (0usize, 0usize);
-        for value in values {
+        for value in values.filter(|value| value.is_finite()) {
             total += 1;
             on_grid += usize::from(Coordinates::Millimetre.unit_in_file(*value).is_some());
         }
@@ -372,6 +373,9 @@ mod tests {
                 last = unit;
             }
         }
+        let nan = f32::NAN;
+        assert_eq!(Coordinates::of([1.234, nan, nan, -2.5, nan].iter()), Coordinates::Millimetre);
+        assert_eq!(Coordinates::of([1.0 / 3.0, nan, nan, nan].iter()), Coordinates::Float32);
         assert_eq!(Coordinates::finest_of(&[1.5, -20.25]), Coordinates::Lattice { step_nm: 10_000_000 });
         let centimetres = Coordinates::finest_of(&[1.25, -0.0, 0.0]);
         assert_eq!(centimetres, Coordinates::Lattice { step_nm: 10_000_000 });

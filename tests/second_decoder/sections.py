@@ -202,6 +202,10 @@ class CoordinateModel:
 
 class Points:
     def __init__(self):
+        self.is_repeat = [[AdaptiveBit(), AdaptiveBit()] for _ in range(4)]
+        self.is_at = [AdaptiveBit() for _ in range(4)]
+        self.is_held = [AdaptiveBit() for _ in range(4)]
+        self.distances = IntegerModel()
         self.coordinates = [CoordinateModel() for _ in range(3)]
         self.cone = LeastSquares(4, 0.98)
 
@@ -216,7 +220,29 @@ class Points:
         def distance(p):
             return sqrt(p[0] * p[0] + p[1] * p[1])
 
+        repeats = []
+        kind = lag = 0
+        zeros = held = (0, 0, 0)
+
+        def source(index, lag):
+            return points[index - lag] if 1 <= lag <= index else zeros
+
         for index in range(n):
+            ends = 1 <= lag <= index and repeats[index - lag]
+            repeats.append(self.is_repeat[kind][int(ends)].code(bits))
+            if repeats[-1]:
+                if self.is_at[kind].code(bits):
+                    kind, lag = 3, self.distances.code(bits)
+                    point = held = source(index, lag)
+                elif self.is_held[kind].code(bits):
+                    kind, point = 2, held
+                else:
+                    kind, point = 1, source(index, lag)
+                points.append(point)
+                done.append(finite(point))
+                turns.push(index, direction(*done[-1][:2]))
+                continue
+            kind = 0
             west = done[-1] if done else [0.0] * 3
             west2 = done[-2] if index > 1 else west
             e = [2 * west[k] - west2[k] for k in (0, 1)]
@@ -733,8 +759,9 @@ class Blanks:
                 others = [other for other in range(3) if other != kind]
                 kind = others[self.later_kind[kind].code(bits)]
             if kind == 0:
-                before = formula
-            elif kind == 2:
+                found.append(formula)
+                continue
+            if kind == 2:
                 before = tuple(
                     from_ordered(ordered(v) + unzigzag(model.code(bits))) for v, model in zip(before, self.differences)
                 )
