@@ -16,7 +16,7 @@ pub fn is_stream(path: &Path) -> bool {
     is_dash(path) || is_pipe(path) || first_bytes(path) == Some(MAGIC)
 }
 
-/// Encodes scans. Returns the time and size of each step, and the stream.
+/// Encodes scans. Returns the time and size of each stage, and the stream.
 pub fn encode(frames: &[FrameInput], config: &EncoderConfig, quiet: bool) -> Result<(StageReport, Vec<u8>)> {
     let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
     let mut stream = Vec::new();

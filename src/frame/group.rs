@@ -61,7 +61,7 @@ pub struct EncodedFrame {
     pub header: FrameHeader,
     /// The coded sections.
     pub sections: Vec<Section>,
-    /// Time and size of each step. If several predictions were tried, those of the chosen one.
+    /// Time and size of each stage. If several predictions were tried, those of the chosen one.
     pub stages: StageReport,
 }
 

@@ -73,7 +73,7 @@ pub trait SectionCoder {
     /// The effort; unused by the decoder.
     fn effort(&self) -> Effort;
 
-    /// Time and size of each step. The time of a section is added when it ends.
+    /// Time and size of each stage. The time of a section is added when it ends.
     fn report(&mut self) -> &mut StageReport;
 
     /// Bytes of the sections written so far; unused by the decoder.
@@ -86,7 +86,7 @@ pub struct SectionWriter {
     pub sections: Vec<Section>,
     limits: Limits,
     effort: Effort,
-    /// Time and size of each step.
+    /// Time and size of each stage.
     pub report: StageReport,
 }
 
@@ -215,7 +215,7 @@ impl<'s> SectionReader<'s> {
         self.next_if(kind).ok_or_else(missing)
     }
 
-    /// The time of each step.
+    /// The time of each stage.
     ///
     /// # Errors
     /// If sections are left over.

@@ -102,7 +102,7 @@ impl StageReport {
         self.times[step as usize]
     }
 
-    /// The total time of all steps.
+    /// The total time of all stages.
     pub fn total_time(&self) -> Duration {
         self.times.iter().sum()
     }

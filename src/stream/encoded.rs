@@ -13,9 +13,9 @@ use crate::ground::error::Result;
 pub struct Encoded {
     /// The headers of the frames, in order.
     pub frames: Vec<FrameHeader>,
-    /// Time and size of each step; where several predictions were tried, those of the chosen one.
+    /// Time and size of each stage; where several predictions were tried, those of the chosen one.
     pub stages: StageReport,
-    /// Time and size of each step, frame by frame.
+    /// Time and size of each stage, frame by frame.
     pub frame_stages: Vec<StageReport>,
     /// Number of points in all original files.
     pub points: u64,

@@ -155,7 +155,7 @@ impl<'a> SequenceCoder<'a> {
 /// A coded group, and properties of its files.
 pub(crate) struct EncodedGroup {
     pub group: Group,
-    /// Time and size of each step, by frame.
+    /// Time and size of each stage, by frame.
     pub stages: Vec<StageReport>,
     /// The headers of the original files, as they were before a track was chosen.
     pub originals: Vec<FrameHeader>,
