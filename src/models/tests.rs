@@ -297,3 +297,23 @@ fn repeated_points_cost_little() {
     }
     assert!(size_of_points(&[[nan; 3]; 9000]) < 100);
 }
+
+#[test]
+fn blanks_of_two_kinds_in_turn_cost_about_a_bit() {
+    const BLANKS: usize = 8000;
+    let mut random = Rng::keyed(5, &[]);
+    let mut blank = |_| if random.chance(0.5) { [0.0; 3] } else { [f32::NAN; 3] };
+    let positions: Vec<[f32; 3]> = (0..BLANKS).map(&mut blank).collect();
+    let formula = [-0.0, 0.0, 0.0];
+    let mut written = positions.clone();
+    let mut encoder = ArithmeticEncoder::default();
+    BlankModel::default().code(&mut encoder, written.iter_mut().map(|position| (formula, position)));
+    let bytes = encoder.finish();
+    assert!(bytes.len() < BLANKS / 8 * 11 / 10, "{} bytes", bytes.len());
+    let mut decoded = vec![[1.0; 3]; BLANKS];
+    let blanks = decoded.iter_mut().map(|position| (formula, position));
+    BlankModel::default().code(&mut ArithmeticDecoder::new(&bytes), blanks);
+    let bits =
+        |positions: &[[f32; 3]]| positions.as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&decoded), bits(&positions));
+}

@@ -745,27 +745,35 @@ def _exponent(v):
 
 class Blanks:
     def __init__(self):
-        self.same_kind = adaptive(3)
-        self.later_kind = adaptive(3)
+        self.same_kind = adaptive(4)
+        self.other_kind = [adaptive(2) for _ in range(4)]
         self.differences = integers(3)
 
     def code(self, bits, formulas):
         """Positions, as the bits of float32s, like the formula's."""
         found = []
-        kind = 0
-        before = 0, 0, 0
+        kind = last = 0
+        kept = [(0, 0, 0), (0, 0, 0)]
         for formula in formulas:
             if not self.same_kind[kind].code(bits):
-                others = [other for other in range(3) if other != kind]
-                kind = others[self.later_kind[kind].code(bits)]
+                first, second, third = [other for other in range(4) if other != kind]
+                if self.other_kind[kind][0].code(bits):
+                    kind = first
+                else:
+                    kind = second if self.other_kind[kind][1].code(bits) else third
             if kind == 0:
                 found.append(formula)
                 continue
-            if kind == 2:
-                before = tuple(
-                    from_ordered(ordered(v) + unzigzag(model.code(bits))) for v, model in zip(before, self.differences)
+            if kind == 3:
+                position = tuple(
+                    from_ordered(ordered(v) + unzigzag(model.code(bits)))
+                    for v, model in zip(kept[last], self.differences)
                 )
-            found.append(before)
+                last = 1 - last
+                kept[last] = position
+            else:
+                last = kind - 1
+            found.append(kept[last])
         return found
 
 
