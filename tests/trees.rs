@@ -125,6 +125,12 @@ fn groups_and_scanners_are_of_one_drive() {
     let frames = info["frames"].as_array().unwrap();
     assert!(frames[..24].iter().all(|frame| frame["unit"] == "file"));
     assert!(frames[24..].iter().all(|frame| frame["unit"] == "file beside the scans"));
+    // A range of frames has no files beside them.
+    for command in ["cut tree.lpc --frames 3..9 -o part.lpc", "decode tree.lpc --frames 3..9 -o part"] {
+        let said = bench.says(command);
+        assert!(said.contains("tree.lpc: left out 12 files beside the scans, which"), "{said}");
+    }
+    assert_eq!(bench.json("cut tree.lpc --frames 3..9 -o part.lpc --force --json")["files_left_out"], 12);
     // Compressed files are stored.
     let picture = frames.iter().find(|frame| frame["name"] == "a/drive_1/image_02/0.png").unwrap();
     let coded = picture["coded_bytes"].as_u64().unwrap();

@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::args::CutArgs;
 use super::decode::chosen_frames;
 use super::errors::about;
-use super::input::{Input, name_of, open};
+use super::input::{Input, name_of, open, tell_files_left_out};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
 use super::{recording, table};
 
@@ -23,6 +23,7 @@ struct Report {
     frames: u64,
     copied: u64,
     recoded: u64,
+    files_left_out: u64,
     stream_bytes: u64,
     seconds: f64,
 }
@@ -39,11 +40,12 @@ pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
     let name = name_of_output(&args.output);
     let cut = write_stream(args, input, frames, &mut output).map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
+    tell_files_left_out(&args.input, cut.files_left_out, quiet);
     let seconds = start.elapsed().as_secs_f64();
     if args.json {
-        let Cut { copied, recoded, stream_bytes, .. } = cut;
+        let Cut { copied, recoded, files_left_out, stream_bytes } = cut;
         let frames = copied + recoded;
-        print_json(&Report { file: name, frames, copied, recoded, stream_bytes, seconds })?;
+        print_json(&Report { file: name, frames, copied, recoded, files_left_out, stream_bytes, seconds })?;
     } else if !quiet {
         eprintln!("{} in {seconds:.1} s", summary(&cut));
     }

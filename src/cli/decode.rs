@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use super::args::{DecodeArgs, FormatArg};
 use super::errors::{about, say, wrong_usage};
-use super::input::{Input, check_stdin_once, is_dash, is_pipe, name_of, open};
+use super::input::{Input, check_stdin_once, is_dash, is_pipe, name_of, open, tell_files_left_out};
 use super::losses::{LossReport, Losses};
 use super::output::{FolderOutput, check_json, print_json};
 use super::time_range::TimeRange;
@@ -107,10 +107,11 @@ fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, 
             beside += u64::from(is_beside);
             Ok(())
         };
-        decode(args, input, options, &mut losses, write, count).map_err(|error| {
+        let left_out = decode(args, input, options, &mut losses, write, count).map_err(|error| {
             bar.finish_and_clear();
             about(error, &name_of(path))
         })?;
+        tell_files_left_out(path, left_out, quiet);
         all_losses.push((losses, files - before));
     }
     bar.finish_and_clear();
@@ -180,7 +181,8 @@ pub fn chosen_frames(
 }
 
 /// Decodes as the arguments say: all frames or an error, or the intact ones. Calls `work` on each frame, and
-/// passes the results to `sink`, in order.
+/// passes the results to `sink`, in order. Returns the number of files beside the scans that are left out because only
+/// some frames are wanted; in damaged streams these are not counted.
 fn decode<T: Send>(
     args: &DecodeArgs,
     input: Input,
@@ -188,18 +190,19 @@ fn decode<T: Send>(
     losses: &mut Losses,
     work: impl Fn(DecodedFrame) -> crate::ground::error::Result<T> + Sync,
     mut sink: impl FnMut(T) -> crate::ground::error::Result<()>,
-) -> crate::ground::error::Result<()> {
+) -> crate::ground::error::Result<u64> {
     if !args.keep_going {
-        return input.decode(options, work, sink).map(drop);
+        return input.decode(options, work, sink);
     }
-    edit::recover(BufReader::new(input.rewindable()?), options, |part| match part {
+    let recovered = edit::recover(BufReader::new(input.rewindable()?), options, |part| match part {
         // Only now: whether a frame is lost with its group is known after the whole group is decoded.
         Recovered::Frame(frame) => sink(work(*frame)?),
         Recovered::Lost(lost) => {
             losses.tell(&lost);
             Ok(())
         }
-    })
+    });
+    recovered.map(|()| 0)
 }
 
 /// Writes the single selected frame to stdout.

@@ -12,6 +12,7 @@ use crate::ground::error::{Error, Limits, Result};
 use crate::stream::{self, DecodeOptions, DecodedFrame};
 
 use super::errors::{about, is_closed_pipe, say, wrong_usage};
+use super::table;
 
 /// A stream to read.
 pub enum Input {
@@ -69,7 +70,7 @@ impl Input {
     }
 
     /// Decodes the stream; if only some frames are requested and the input is seekable, only their groups are
-    /// read. Returns the number of frames in the stream.
+    /// read. Returns the number of files beside the scans that are left out.
     ///
     /// # Errors
     /// As [`stream::decode`].
@@ -85,6 +86,14 @@ impl Input {
             }
             other => stream::decode(other.reader(), options, work, sink),
         }
+    }
+}
+
+/// Says that files beside the scans are left out because only some frames are wanted.
+pub fn tell_files_left_out(path: &Path, files: u64, quiet: bool) {
+    if files > 0 && !quiet {
+        let (name, files) = (name_of(path), table::count(files, "file"));
+        eprintln!("lidarpc: {name}: left out {files} beside the scans, which only a whole stream gives");
     }
 }
 

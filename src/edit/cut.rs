@@ -18,6 +18,8 @@ pub struct Cut {
     pub copied: u64,
     /// Frames that were recoded.
     pub recoded: u64,
+    /// Files beside the scans, which a range of frames leaves out.
+    pub files_left_out: u64,
     /// Bytes of the new stream.
     pub stream_bytes: u64,
 }
@@ -37,6 +39,7 @@ pub fn cut(input: Named<impl Read>, frames: FrameRange, limits: &Limits, out: im
     let mut groups = StreamedGroups::new(reader, frames);
     cutter.write_groups(&mut groups, &path)?;
     frames.check(groups.index().scan_count()).map_err(|e| e.at(&path))?;
+    cutter.done.files_left_out = frames.left_out(groups.index());
     cutter.finish()
 }
 
@@ -54,6 +57,7 @@ pub fn cut_indexed(
     let reader = IndexedReader::open(stream, *limits).map_err(|e| e.at(&path))?;
     frames.check(reader.index().scan_count()).map_err(|e| e.at(&path))?;
     let mut cutter = Cutter::create(out, frames, limits)?;
+    cutter.done.files_left_out = frames.left_out(reader.index());
     cutter.write_groups(&mut IndexedGroups::new(reader, frames), &path)?;
     cutter.finish()
 }

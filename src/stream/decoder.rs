@@ -67,7 +67,7 @@ impl DecodedFrame {
 /// Decodes a stream from front to back, as from a pipe. Groups are decoded in parallel: the thread that has
 /// decoded a frame calls `work` on it at once, and the results are passed to `sink` in order, on the calling
 /// thread. The whole stream is read and checked even if only some frames are requested. Returns the number of
-/// frames in the stream.
+/// files beside the scans that are left out because only some frames are.
 ///
 /// # Errors
 /// If the input fails or is damaged anywhere, if a frame exceeds the limits, if there are no such frames, or
@@ -82,11 +82,10 @@ pub fn decode<T: Send>(
     let mut jobs = StreamedGroups::new(reader, options.frames);
     decode_jobs(&mut jobs, options, work, sink)?;
     options.frames.check(jobs.index().scan_count())?;
-    Ok(jobs.index().frame_count())
+    Ok(options.frames.left_out(jobs.index()))
 }
 
-/// As [`decode`], but reads only the groups that hold the requested frames. Returns the number of frames in
-/// the stream.
+/// As [`decode`], but reads only the groups that hold the requested frames.
 ///
 /// # Errors
 /// As [`decode`]; damage elsewhere in the stream is not detected.
@@ -97,10 +96,10 @@ pub fn decode_indexed<T: Send>(
     sink: impl FnMut(T) -> Result<()>,
 ) -> Result<u64> {
     let reader = IndexedReader::open(input, options.limits)?;
-    let frame_count = reader.index().frame_count();
+    let left_out = options.frames.left_out(reader.index());
     options.frames.check(reader.index().scan_count())?;
     decode_jobs(&mut IndexedGroups::new(reader, options.frames), options, work, sink)?;
-    Ok(frame_count)
+    Ok(left_out)
 }
 
 fn decode_jobs<T: Send>(

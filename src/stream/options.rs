@@ -3,6 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::container::Index;
 use crate::ground::error::{Error, Limits, Result};
 
 /// Settings of the decoder.
@@ -52,6 +53,11 @@ impl FrameRange {
     /// if all frames are, as they have no numbers of their own.
     pub fn wants(&self, first: u64, count: u64, is_beside: bool) -> bool {
         self.overlaps(first, count) && (!is_beside || self.is_all())
+    }
+
+    /// The number of files beside the scans that are not read.
+    pub fn left_out(&self, index: &Index) -> u64 {
+        if self.is_all() { 0 } else { index.frame_count() - index.scan_count() }
     }
 
     /// The number of frames in the range, out of a sequence of `count` frames.
