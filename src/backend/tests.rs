@@ -95,3 +95,17 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn trials_tell_only_clear_differences() {
+    for (coder, models, result) in [
+        (1000, 1000, Trial::Open),
+        (1010, 1000, Trial::Open),
+        (1000, 1010, Trial::Open),
+        (1020, 1000, Trial::Lost),
+        (1000, 1020, Trial::Won),
+        (1000, usize::MAX, Trial::Won),
+    ] {
+        assert_eq!(Trial::of(coder, models), result, "{coder} and {models} bytes");
+    }
+}

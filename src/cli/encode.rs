@@ -330,7 +330,20 @@ pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &Encoded) -> 
 pub fn fidelity(config: &EncoderConfig, encoded: Option<&Encoded>) -> String {
     let mut words = match config.positions {
         Positions::Exact => "lossless".to_owned(),
-        Positions::Bounded { max_error_um, .. } => format!("within {} mm", f64::from(max_error_um) / 1000.0),
+        Positions::Bounded { max_error_um, .. } => {
+            let within = format!("within {} mm", f64::from(max_error_um) / 1000.0);
+            match encoded
+                .map_or((0, 0), |encoded| (encoded.exact, encoded.frames.len() as u64 - encoded.beside))
+            {
+                (0, _) => within,
+                (exact, scans) if exact == scans => {
+                    format!("{within} (all exact: the bound saves nothing here)")
+                }
+                (exact, scans) => {
+                    format!("{within} ({exact} of {scans} exact, where the bound saves nothing)")
+                }
+            }
+        }
         Positions::Formula => match encoded {
             Some(encoded) => {
                 let dropped = encoded.outliers + encoded.lost;
@@ -371,6 +384,7 @@ pub struct Report {
     /// Names of files in which no points were recognised.
     plain_bytes: Vec<String>,
     unmodelled_frames: u64,
+    exact_frames: u64,
     left_out: Vec<LeftOutReport>,
     verified: bool,
     seconds: f64,
@@ -445,6 +459,7 @@ impl Report {
             ),
             plain_bytes: plain_bytes(encoded).map(str::to_owned).collect(),
             unmodelled_frames: encoded.unmodelled,
+            exact_frames: encoded.exact,
             left_out: LeftOutReport::of(left_out),
             verified: args.verify,
             seconds,

@@ -16,7 +16,8 @@ use super::stages::{Stage, StageReport};
 use super::syntax::Models;
 use super::whole::WholeFile;
 use crate::article::prediction::intra::IntraPrediction;
-use crate::container::{FrameHeader, Section, Unit, allowance, pay_for};
+use crate::backend::Trial;
+use crate::container::{FrameHeader, Section, SectionKind, Unit, allowance, pay_for};
 use crate::files::rounded_by_file;
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::grid::Grid;
@@ -37,8 +38,12 @@ struct TrackEncoder<'s> {
     scanner: Option<&'s Scanner>,
     config: &'s EncoderConfig,
     state: TrackState,
+    /// What the last frame has shown of a general-purpose compressor.
+    whole: Trial,
     /// Whether bounded mode was smaller than exact mode for a frame of the group.
     bound_pays: bool,
+    /// The error, in micrometres, with which the points are coded: the bound, or less where that is smaller.
+    error_um: Option<u32>,
     /// The part of the bound, in micrometres, that the digits of text have needed so far.
     of_digits_um: u32,
 }
@@ -76,6 +81,17 @@ impl EncodedFrame {
     fn size(&self) -> usize {
         size_of_sections(&self.sections)
     }
+
+    /// Bytes of the channels.
+    fn of_channels(&self) -> usize {
+        let of_channels = self.sections.iter().filter(|section| section.kind == SectionKind::Channels);
+        of_channels.map(|section| section.payload.len()).sum()
+    }
+}
+
+/// Errors below `most_um` micrometres: 0.5, 1, 2, 5, 10, 20 mm. Larger ones hardly save more.
+fn smaller_errors(most_um: u32) -> impl Iterator<Item = u32> {
+    [500, 1000, 2000, 5000, 10_000, 20_000].into_iter().filter(move |error| *error < most_um)
 }
 
 /// Bytes of sections, without their headers.
@@ -135,7 +151,15 @@ fn step_rounding_um(scan: &ScanFile) -> u32 {
 
 impl<'s> TrackEncoder<'s> {
     fn new(scanner: Option<&'s Scanner>, config: &'s EncoderConfig) -> Self {
-        TrackEncoder { scanner, config, state: TrackState::default(), bound_pays: false, of_digits_um: 0 }
+        TrackEncoder {
+            scanner,
+            config,
+            state: TrackState::default(),
+            whole: Trial::Open,
+            bound_pays: false,
+            error_um: None,
+            of_digits_um: 0,
+        }
     }
 
     /// As [`GroupEncoder::encode_frame`].
@@ -143,39 +167,52 @@ impl<'s> TrackEncoder<'s> {
         if original.stamp.unit == Unit::Beside {
             return self.encode_beside(&scan, original);
         }
-        if !matches!(self.config.positions, Positions::Bounded { .. }) {
+        let Positions::Bounded { max_error_um, .. } = self.config.positions else {
             return Ok(self.encode_as(self.config, scan, original)?.0);
-        }
+        };
         let before = self.state.clone();
-        let mut bounded = self.encode_within_bound(&scan, &original, &before)?;
+        let within = self.error_um.unwrap_or(max_error_um);
+        let mut bounded = self.encode_within_bound(&scan, &original, within, &before)?;
         if let Some(bounded) = bounded.take_if(|_| self.bound_pays) {
             return Ok(bounded);
         }
-        let after = replace(&mut self.state, before);
+        let mut after = replace(&mut self.state, before.clone());
         let (positions, intensity) = (Positions::Exact, Intensity::Exact);
         let config = EncoderConfig { positions, intensity, ..self.config.clone() };
-        let (exact, _) = self.encode_as(&config, scan, original)?;
-        match bounded {
-            Some(bounded) if bounded.size() < exact.size() => {
-                self.bound_pays = true;
-                self.state = after;
-                Ok(bounded)
+        let (exact, _) = self.encode_as(&config, scan.clone(), original.clone())?;
+        let of_exact = replace(&mut self.state, before.clone());
+        // The other fields of a record stay exact. If they follow from the position, they may take more bytes with a
+        // larger error than the positions save.
+        if self.error_um.is_none() && bounded.as_ref().is_some_and(|b| b.of_channels() > exact.of_channels())
+        {
+            for within in smaller_errors(max_error_um) {
+                let smaller = self.encode_within_bound(&scan, &original, within, &before)?;
+                let state = replace(&mut self.state, before.clone());
+                let Some(smaller) = smaller else { continue };
+                if bounded.as_ref().is_none_or(|bounded| smaller.size() < bounded.size()) {
+                    (bounded, after, self.error_um) = (Some(smaller), state, Some(within));
+                }
             }
-            _ => Ok(exact),
         }
+        self.error_um.get_or_insert(max_error_um);
+        let bounded = bounded.filter(|bounded| bounded.size() < exact.size());
+        self.bound_pays = bounded.is_some();
+        self.state = if self.bound_pays { after } else { of_exact };
+        Ok(bounded.unwrap_or(exact))
     }
 
-    /// Encodes the next frame in bounded mode; `None` if the decoded file would exceed the bound. If only the digits of
+    /// Encodes the next frame with at most this error; `None` if the decoded file would exceed it. If only the digits of
     /// its text are to blame, the points are coded with a smaller error. `before`: the state.
     fn encode_within_bound(
         &mut self,
         scan: &ScanFile,
         original: &FrameHeader,
+        max_error_um: u32,
         before: &TrackState,
     ) -> Result<Option<EncodedFrame>> {
         /// Number of times that a frame is coded at most.
         const ATTEMPTS: usize = 3;
-        let Positions::Bounded { max_error_um, on_grid } = self.config.positions else { return Ok(None) };
+        let Positions::Bounded { on_grid, .. } = self.config.positions else { return Ok(None) };
         let within = |max_error_um| Positions::Bounded { max_error_um, on_grid };
         let of_file = max_error_um.saturating_sub(file_rounding_um(scan));
         let Some(bound) = Bound::of(within(of_file), self.config.intensity) else { return Ok(None) };
@@ -209,14 +246,25 @@ impl<'s> TrackEncoder<'s> {
 
     /// Encodes a file that is not a scan, in every mode, as its bytes.
     fn encode_beside(&mut self, file: &ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
-        let mut stages = StageReport { frames: 1, original: original.file_size, ..StageReport::default() };
+        let stages = StageReport { frames: 1, original: original.file_size, ..StageReport::default() };
         let whole = WholeFile::of_any_file(file, self.config.level)?;
+        self.encode_whole(whole, 0, original, stages)
+    }
+
+    /// Encodes a frame as the bytes of its file, which do not change the models.
+    fn encode_whole(
+        &mut self,
+        whole: WholeFile,
+        records: usize,
+        header: FrameHeader,
+        mut stages: StageReport,
+    ) -> Result<EncodedFrame> {
         let mut writer = SectionWriter::new(Effort::default());
-        self.state.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, 0))?;
+        self.state.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, records))?;
         stages.add(&writer.report);
-        pay_for(&mut writer.sections, original.file_size);
+        pay_for(&mut writer.sections, header.file_size.max(records as u64));
         stages.count_sections(&writer.sections);
-        Ok(EncodedFrame { header: original, sections: writer.sections, stages })
+        Ok(EncodedFrame { header, sections: writer.sections, stages })
     }
 
     /// Encodes the next frame with these settings. Returns the decoded file too, unless it is the original.
@@ -228,9 +276,17 @@ impl<'s> TrackEncoder<'s> {
     ) -> Result<(EncodedFrame, Option<LossyFile>)> {
         let mut stages = StageReport { frames: 1, original: original.file_size, ..StageReport::default() };
         let name = scan.name.clone();
+        // Files without points tell nothing about scans.
+        let trial = if scan.records > 0 { self.whole } else { Trial::Open };
+        let kept = (trial == Trial::Won).then(|| scan.clone());
         let mut frame = FrameParts::from_scan(scan, self.scanner, config, &mut stages)?;
         frame.parameters.halved = self.halves(&frame);
-        let before = is_unexplained(&frame, config).then(|| (self.state.models.clone(), stages));
+        let may_be_unexplained = trial != Trial::Lost && may_be_unexplained(&frame, config);
+        if let Some(scan) = kept.filter(|_| may_be_unexplained) {
+            let whole = WholeFile::shortest(&scan, config.level, usize::MAX)?;
+            return Ok((self.encode_whole(whole, scan.records, original, stages)?, None));
+        }
+        let before = may_be_unexplained.then(|| (self.state.models.clone(), stages));
         let mut best: Option<Attempt> = None;
         let fit = stages.timed(Stage::Registration, || self.estimate_motion(&frame));
         let has_regions = self.scanner.is_some_and(|scanner| scanner.hdl64().is_some());
@@ -250,17 +306,18 @@ impl<'s> TrackEncoder<'s> {
         };
         let unfolded = frame.unfolded_bytes();
         self.state.frames += 1;
-        if let Some((models, mut stages)) = before {
+        if let Some((models, stages)) = before
+            && is_unexplained(&frame, &sections, original.file_size)
+        {
             let own = size_of_sections(&sections);
             let (records, scan) = (frame.records, frame.clone().into_scan(&name)?);
-            if let Some(whole) = WholeFile::shortest(&scan, config.level, own)? {
+            let whole = WholeFile::shortest(&scan, config.level, own)?;
+            if records > 0 {
+                self.whole = Trial::of(whole.payload().len(), own);
+            }
+            if whole.payload().len() < own {
                 self.state.models = models;
-                let mut writer = SectionWriter::new(Effort::default());
-                self.state.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, records))?;
-                stages.add(&writer.report);
-                pay_for(&mut writer.sections, original.file_size.max(records as u64));
-                stages.count_sections(&writer.sections);
-                return Ok((EncodedFrame { header: original, sections: writer.sections, stages }, None));
+                return Ok((self.encode_whole(whole, records, original, stages)?, None));
             }
         }
         self.state.models = models;
@@ -340,11 +397,19 @@ impl<'s> TrackEncoder<'s> {
     }
 }
 
-/// Whether many points are outside any range image and all must be restored exactly: then the models may do
-/// worse than a general-purpose compressor.
-fn is_unexplained(frame: &FrameParts, config: &EncoderConfig) -> bool {
+/// Whether the models may do worse than a general-purpose compressor, as many records are no returns of a range image
+/// and all must be restored exactly.
+fn may_be_unexplained(frame: &FrameParts, config: &EncoderConfig) -> bool {
     let is_exact = config.positions == Positions::Exact && config.intensity == Intensity::Exact;
-    is_exact && frame.parameters.source.is_none() && 4 * frame.strays >= frame.records
+    is_exact && frame.parameters.source.is_none() && 4 * frame.outside() >= frame.records
+}
+
+/// Whether that is likely, now that the frame is coded: many points are outside the image, or the positions of blanks
+/// take many bytes.
+fn is_unexplained(frame: &FrameParts, sections: &[Section], file_size: u64) -> bool {
+    let blanks = sections.iter().filter(|section| section.kind == SectionKind::Blanks);
+    let of_blanks: usize = blanks.map(|section| section.payload.len()).sum();
+    4 * frame.strays >= frame.records || 16 * of_blanks as u64 >= file_size
 }
 
 /// A frame coded in one of several ways.

@@ -1,7 +1,7 @@
 //! A frame coded as the bytes of its file by a general-purpose compressor: the fallback if no model pays.
 //! FORMAT.md 8.18.
 
-use crate::backend::{self, LZMA_GAIN, Level, STORE};
+use crate::backend::{self, Level, STORE, may_lzma_pay};
 use crate::files::{parse, plain_records};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -18,17 +18,22 @@ pub struct WholeFile {
 }
 
 impl WholeFile {
-    /// A file coded by a general-purpose compressor; none if the result is not shorter than `most` bytes.
+    /// A file coded by a general-purpose compressor. A slow one is tried only if it may take fewer than `most` bytes.
     ///
     /// # Errors
     /// If the compressor's library fails.
-    pub fn shortest(scan: &ScanFile, level: Level, most: usize) -> Result<Option<Self>> {
+    pub fn shortest(scan: &ScanFile, level: Level, most: usize) -> Result<Self> {
+        /// Bytes of a sample. Less than four times as many are not sampled.
+        const SAMPLE: usize = 64 << 10;
         let bytes = scan.to_bytes()?;
         let records = (scan.layout.wrapping == Wrapping::Plain && !scan.is_opaque())
             .then(|| (scan.layout.clone(), scan.prefix.len()));
-        let coded = backend::shortest(&bytes, level, |size| size as f64 * LZMA_GAIN < most as f64)?;
-        let whole = WholeFile::coded(bytes, records, coded);
-        Ok((whole.payload.len() < most).then_some(whole))
+        let sample = || {
+            let is_large = bytes.len() >= 4 * SAMPLE;
+            is_large.then(|| bytes[(bytes.len() - SAMPLE) / 2..][..SAMPLE].to_vec())
+        };
+        let coded = backend::shortest(&bytes, level, |quick| may_lzma_pay(quick, most, sample))?;
+        Ok(WholeFile::coded(bytes, records, coded))
     }
 
     /// A file that is not a scan. If a fast compressor cannot shorten it, as with pictures, it is stored.
@@ -125,7 +130,7 @@ mod tests {
     fn comes_back(name: &str, bytes: &[u8]) {
         let scan = parse(name, bytes.to_vec());
         for level in Level::all() {
-            let whole = WholeFile::shortest(&scan, level, usize::MAX).unwrap().unwrap();
+            let whole = WholeFile::shortest(&scan, level, usize::MAX).unwrap();
             let (payload, limits) = (whole.payload().to_vec(), Limits::default());
             let decoded = WholeFile::from_payload(&payload, &limits).unwrap();
             let decoded = decoded.into_scan(name, scan.records).unwrap();
@@ -140,7 +145,6 @@ mod tests {
                 let cut = WholeFile::from_payload(&payload[..cut], &limits);
                 assert!(cut.and_then(|whole| whole.into_scan(name, scan.records)).is_err());
             }
-            assert!(WholeFile::shortest(&scan, level, payload.len()).unwrap().is_none());
         }
     }
 

@@ -4,7 +4,7 @@ use std::io::Write;
 
 use super::encoder::EncodedGroup;
 use crate::container::{CodedFrame, FrameHeader, Index, ScannerRecord, SectionKind, StreamWriter, Unit};
-use crate::frame::parameters::Source;
+use crate::frame::parameters::{FrameParameters, Source};
 use crate::frame::stages::StageReport;
 use crate::ground::error::Result;
 
@@ -31,6 +31,8 @@ pub struct Encoded {
     pub beside_coded: u64,
     /// Frames that no model fits, so that their files' bytes were coded by a general-purpose compressor.
     pub unmodelled: u64,
+    /// Scans that are restored exactly.
+    pub exact: u64,
     /// Frames kept from an interrupted run. Their stages have no times.
     pub resumed_frames: u64,
     /// Bytes of the stream.
@@ -52,6 +54,8 @@ pub(crate) struct FrameOfStream {
     /// The original file.
     pub source: Source,
     pub is_modelled: bool,
+    /// Whether it is restored exactly.
+    pub is_exact: bool,
 }
 
 impl FrameOfStream {
@@ -62,7 +66,9 @@ impl FrameOfStream {
     pub(crate) fn of(frame: &CodedFrame, stages: StageReport) -> Result<Self> {
         let is_modelled = frame.header.stamp.unit == Unit::Beside
             || frame.sections.iter().all(|section| section.kind != SectionKind::Bytes);
-        Ok(FrameOfStream { header: frame.header.clone(), stages, source: Source::of(frame)?, is_modelled })
+        let is_exact = FrameParameters::of(frame)?.source.is_none();
+        let (header, source) = (frame.header.clone(), Source::of(frame)?);
+        Ok(FrameOfStream { header, stages, source, is_modelled, is_exact })
     }
 }
 
@@ -75,6 +81,7 @@ impl Encoded {
         self.outliers += frame.source.outliers;
         self.lost += frame.source.lost;
         self.unmodelled += u64::from(!frame.is_modelled);
+        self.exact += u64::from(frame.is_exact && frame.header.stamp.unit != Unit::Beside);
         if frame.header.stamp.unit == Unit::Beside {
             self.beside += 1;
             self.beside_bytes += frame.header.file_size;

@@ -2,7 +2,7 @@
 
 use byteorder::{ByteOrder, LittleEndian};
 
-use crate::backend::Level;
+use crate::backend::{Level, Trial};
 use crate::container::SectionKind;
 use crate::entropy::{AdaptiveBit, ArithmeticEncoder, BitCoder};
 use crate::frame::parts::FrameParts;
@@ -18,6 +18,8 @@ use crate::scanner::Coordinates;
 pub struct StrayModels {
     points: PointModel,
     are_compressed: AdaptiveBit,
+    /// Of compression in place of the model.
+    trial: Trial,
 }
 
 impl StrayModels {
@@ -45,11 +47,12 @@ impl StrayModels {
     ) -> Result<()> {
         const WIDTH: usize = 12;
         let mut compressed = None;
-        if C::ENCODES && lattice.is_none() && 2 * positions.len() > records {
-            let mut encoder = ArithmeticEncoder::default();
-            self.points.clone().code(&mut encoder, lattice, &mut positions.to_vec());
+        if C::ENCODES && lattice.is_none() && 2 * positions.len() > records && self.trial != Trial::Lost {
+            let own = if self.trial == Trial::Won { usize::MAX } else { self.size_as_points(positions) };
             let bytes: Vec<u8> = positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
-            compressed = Compressed::shortest(&bytes, Scalar::F32, WIDTH, level, encoder.finish().len());
+            compressed = Compressed::shortest(&bytes, Scalar::F32, WIDTH, level, own);
+            self.trial = compressed.as_ref().map_or(Trial::Open, |found| Trial::of(found.size(), own));
+            compressed.take_if(|found| found.size() >= own);
         }
         if !self.are_compressed.code(coder, compressed.is_some()) {
             self.points.code(coder, lattice, positions);
@@ -63,5 +66,12 @@ impl StrayModels {
             }
         }
         Ok(())
+    }
+
+    /// Size of the positions coded by the model of points, in bytes.
+    fn size_as_points(&self, positions: &[[f32; 3]]) -> usize {
+        let mut encoder = ArithmeticEncoder::default();
+        self.points.clone().code(&mut encoder, None, &mut positions.to_vec());
+        encoder.finish().len()
     }
 }

@@ -1,6 +1,6 @@
 //! Columns coded by a general-purpose coder after their bytes are arranged for it. FORMAT.md 8.17.
 
-use crate::backend::{self, LZMA, LZMA_GAIN, LZMA_LEVEL, Level, ZSTD};
+use crate::backend::{self, LZMA, LZMA_LEVEL, Level, ZSTD, may_lzma_pay};
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::scan::Scalar;
@@ -75,12 +75,15 @@ pub struct Compressed {
 }
 
 impl Compressed {
-    /// The shortest way; `None` if none is shorter than `most` bytes, or if `most` is small anyway.
+    /// The shortest way; slow ones are tried only if they may take fewer than `most` bytes. `None` if `most` is small
+    /// anyway.
     pub fn shortest(bytes: &[u8], scalar: Scalar, width: usize, level: Level, most: usize) -> Option<Self> {
         /// In 16ths of a byte per record: records that take less than this are explained by the models.
         const EXPLAINED: usize = 1;
         /// In bytes.
         const SMALL: usize = 1000;
+        /// Records of a sample. Fewer than four times as many are not sampled.
+        const SAMPLE: usize = 4096;
         let records = bytes.len() / width.max(1);
         if most < SMALL || most < records * EXPLAINED / 16 {
             return None;
@@ -91,7 +94,11 @@ impl Compressed {
         let quick = quick.enumerate().filter_map(|(at, payload)| Some((at, payload?)));
         let (best, payload) = quick.min_by_key(|(_, payload)| payload.len())?;
         let mut compressed = Compressed { backend: ZSTD, arrangement: Arrangement::ALL[best], payload };
-        if level.number() >= LZMA_LEVEL && compressed.is_worth_lzma(bytes, scalar, width, most) {
+        let sample = || {
+            let at = (records >= 4 * SAMPLE).then(|| (records - SAMPLE) / 2)?;
+            Some(Arrangement::ALL[best].apply(&bytes[at * width..][..SAMPLE * width], scalar, width))
+        };
+        if level.number() >= LZMA_LEVEL && may_lzma_pay(compressed.payload.len(), most, sample) {
             let tried = (0..arranged.len()).filter(|&at| at == best || level.number() >= THOROUGH_LEVEL);
             for at in tried {
                 let payload = backend::compress_hardest(&arranged[at]).ok()?;
@@ -100,34 +107,14 @@ impl Compressed {
                 }
             }
         }
-        compressed.is_shorter_than(most).then_some(compressed)
+        Some(compressed)
     }
 
-    /// Whether LZMA may take fewer than `most` bytes where zstd takes what is compressed here: by what it gains on some
-    /// of the records, as it takes long for all of them.
-    fn is_worth_lzma(&self, bytes: &[u8], scalar: Scalar, width: usize, most: usize) -> bool {
-        /// Records of the sample. Fewer than four times as many are not sampled.
-        const SAMPLE: usize = 4096;
-        /// LZMA gains up to this factor more on all records than on the sample.
-        const UNSURE: f64 = 1.15;
-        let could_be = |gain: f64| self.payload.len() as f64 * gain < most as f64;
-        let records = bytes.len() / width.max(1);
-        if !could_be(LZMA_GAIN) || records < 4 * SAMPLE {
-            return could_be(LZMA_GAIN);
-        }
-        let sample = &bytes[(records - SAMPLE) / 2 * width..][..SAMPLE * width];
-        let sample = self.arrangement.apply(sample, scalar, width);
-        match (backend::compress_quickly(&sample), backend::compress_hardest(&sample)) {
-            (Ok(quick), Ok(hardest)) => could_be(hardest.len() as f64 / quick.len().max(1) as f64 / UNSURE),
-            _ => false,
-        }
-    }
-
-    /// Whether it takes fewer bytes.
-    pub fn is_shorter_than(&self, bytes: usize) -> bool {
+    /// Number of bytes that it takes.
+    pub fn size(&self) -> usize {
         /// Size of the numbers before the payload, in bytes.
         const HEADER: usize = 8;
-        self.payload.len() + HEADER < bytes
+        self.payload.len() + HEADER
     }
 }
 

@@ -23,7 +23,7 @@ use column::{ColumnModel, convert};
 use plan::Plan;
 
 use super::ByteModel;
-use crate::backend::Level;
+use crate::backend::{Level, Trial};
 use crate::entropy::{ArithmeticEncoder, BitCoder};
 use crate::ground::error::{Error, Result};
 use crate::scan::{Channel, Field, Scalar};
@@ -73,6 +73,8 @@ impl RecordContext {
 #[derive(Clone, Default)]
 pub struct ChannelsModel {
     columns: Vec<ColumnModel>,
+    /// For each channel, the result of compressing it in place of the models.
+    trials: Vec<Trial>,
     /// Shared by all channels, because it is large.
     bytes: Option<ByteModel>,
 }
@@ -119,6 +121,7 @@ impl ChannelsModel {
         let mut order: Vec<usize> = (0..channels.len()).collect();
         order.sort_by_key(|&channel| channels[channel].field.scalar.size());
         let bytes_model = self.bytes.get_or_insert_with(ByteModel::small);
+        self.trials.resize(channels.len(), Trial::Open);
         let mut columns = 0;
         let mut known = Vec::new();
         for channel in order {
@@ -135,6 +138,7 @@ impl ChannelsModel {
             let sources = Sources { channels: &*channels, known: &known, context };
             let mut coding = ChannelCoder {
                 columns: &mut self.columns[models],
+                trial: &mut self.trials[channel],
                 bytes: bytes_model,
                 width: scalar.size() as usize * (channels[channel].field.count as usize),
                 scalar,
@@ -272,6 +276,7 @@ impl OwnedSources {
 /// Codes one channel.
 struct ChannelCoder<'m> {
     columns: &'m mut [ColumnModel],
+    trial: &'m mut Trial,
     bytes: &'m mut ByteModel,
     width: usize,
     scalar: Scalar,
@@ -324,6 +329,11 @@ impl ChannelCoder<'_> {
         if is_constant(bytes, self.width) {
             return (Shape::Constant, Vec::new(), None);
         }
+        if *self.trial == Trial::Won
+            && let Some(compressed) = self.compressed(bytes, usize::MAX)
+        {
+            return (Shape::Compressed, Vec::new(), Some(compressed));
+        }
         let mut plans = Vec::new();
         let (mut size, mut is_sure) = (0usize, !self.columns.is_empty());
         let columns = split(bytes, self.scalar, self.columns.len());
@@ -346,7 +356,7 @@ impl ChannelCoder<'_> {
 
     /// The shape that takes the fewest bytes; `size` is that of the columns.
     fn choose_shape(
-        &self,
+        &mut self,
         sources: &Sources,
         bytes: &[u8],
         plans: &[Plan],
@@ -356,23 +366,43 @@ impl ChannelCoder<'_> {
         const UNSURE: usize = 8;
         let sampled = choice::gather(bytes, self.width, &choice::sample(bytes.len() / self.width));
         let as_bytes = self.size_as_bytes(&sampled).saturating_mul(bytes.len()) / sampled.len().max(1);
+        let as_bytes = self.handicapped(as_bytes);
         let (mut best, shape) = match plans.is_empty() || as_bytes < size {
             true => (as_bytes, Shape::Bytes),
             false => (size, Shape::Columns),
         };
-        let most = best.saturating_add(best / UNSURE);
-        let compressed = Compressed::shortest(bytes, self.scalar, self.width, self.level, most);
-        let Some(compressed) = compressed else { return (shape, None) };
+        if *self.trial == Trial::Lost {
+            return (shape, None);
+        }
+        let Some(compressed) = self.compressed(bytes, best.saturating_add(best / UNSURE)) else {
+            return (shape, None);
+        };
         // Models learn more from all records than from a sample.
         if sampled.len() < bytes.len() {
             best = match shape {
                 Shape::Columns => self.size_as_columns(plans, sources, bytes),
-                _ => self.size_as_bytes(bytes),
+                _ => self.handicapped(self.size_as_bytes(bytes)),
             };
         }
-        match compressed.is_shorter_than(best) {
+        *self.trial = Trial::of(compressed.size(), best);
+        match compressed.size() < best {
             true => (Shape::Compressed, Some(compressed)),
             false => (shape, None),
+        }
+    }
+
+    /// The channel by a general-purpose coder; `None` if the `most` bytes that it may take are few.
+    fn compressed(&self, bytes: &[u8], most: usize) -> Option<Compressed> {
+        Compressed::shortest(bytes, self.scalar, self.width, self.level, most)
+    }
+
+    /// The size by the model of bytes, for comparison with other ways: they are preferred up to this size, as the model
+    /// takes many times as long as any of them to encode and decode.
+    fn handicapped(&self, as_bytes: usize) -> usize {
+        match self.level.number() {
+            1..=3 => as_bytes.saturating_add(as_bytes / 4),
+            4..=6 => as_bytes.saturating_add(as_bytes / 32),
+            _ => as_bytes,
         }
     }
 
