@@ -299,3 +299,24 @@ fn frames_come_back_where_compressed_files_are_shorter() {
         assert!(frame.sections.iter().any(|section| section.kind == SectionKind::Bytes));
     }
 }
+
+#[test]
+fn intensities_that_are_nan_cost_little() {
+    let with_nan: Vec<Points> = SCANS[0]
+        .iter()
+        .map(|points| {
+            let is_nan = |n: usize| n.wrapping_mul(0x9E37_79B9) >> 9 & 7 < 2;
+            let nan =
+                |(n, &[x, y, z, i]): (usize, &[f32; 4])| [x, y, z, if is_nan(n) { f32::NAN } else { i }];
+            points.iter().enumerate().map(nan).collect()
+        })
+        .collect();
+    let files = |scans: &[Points]| -> Vec<File> {
+        (0..).zip(scans).map(|(n, points)| (format!("{n}.bin"), kitti(points))).collect()
+    };
+    for level in [1, 3, 6, 9] {
+        let [plain, with_nan] =
+            [&SCANS[0], &with_nan].map(|scans| round_trip(&files(scans), &at_level(level)).len());
+        assert!(with_nan * 4 < plain * 5, "level {level}: {with_nan} bytes, {plain} without");
+    }
+}

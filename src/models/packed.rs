@@ -95,14 +95,17 @@ pub fn code_packed_intensities<C: TokenCoder>(coder: &mut C, scale: &IntensitySc
 /// Codes the values that are not on the grid. The encoder passes them in `known`, with their indices.
 fn code_off_grid<C: TokenCoder>(coder: &mut C, known: &[(usize, f32)], values: &mut [f32]) {
     let mut known = known.iter();
-    let mut next = 0;
+    let (mut next, mut last) = (0, 0u32);
     loop {
         let (place, value) = known.next().copied().unwrap_or((values.len(), 0.0));
         let gap = coder.number(GAP, (place.wrapping_sub(next)) as u64).min((values.len() - next) as u64);
         let Some(found) = values.get_mut(next + gap as usize).filter(|_| !coder.is_exhausted()) else {
             return;
         };
-        *found = f32::from_bits(coder.bits(value.to_bits().into(), 32) as u32);
+        if coder.bits((value.to_bits() == last).into(), 1) == 0 {
+            last = coder.bits(value.to_bits().into(), 32) as u32;
+        }
+        *found = f32::from_bits(last);
         next += gap as usize + 1;
     }
 }

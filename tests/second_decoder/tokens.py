@@ -310,9 +310,11 @@ class PackedIntensity:
                 found.extend([least + tokens.bits(width) & 0xFFFFFFFF for _ in block])
             found = [scale.value(v) if v < 1 << scale.bits else 0 for v in found]
             if scale.exceptions:
-                at = tokens.number(33)
+                at, last = tokens.number(33), 0
                 while at < n:
-                    found[at] = tokens.bits(32)
+                    if not tokens.bits(1):
+                        last = tokens.bits(32)
+                    found[at] = last
                     at += 1 + tokens.number(33)
         tokens.finish()
         found = iter(found)

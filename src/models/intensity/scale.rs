@@ -54,13 +54,18 @@ impl LevelGrid {
     }
 
     /// The number of values that are not on the grid, and the highest level; `None` if there are more than
-    /// `most` such values.
+    /// `most` such values. Those that repeat the one before, such as NaN, do not count: they cost little.
     fn misses(&self, values: &[f32], most: usize) -> Option<(usize, u32)> {
         let (mut misses, mut highest) = (0, 0);
+        let mut last = None;
         for value in values {
             match self.level_of(*value) {
                 Some(level) => highest = highest.max(level),
-                None if misses < most => misses += 1,
+                None if last == Some(value.to_bits()) => {}
+                None if misses < most => {
+                    misses += 1;
+                    last = Some(value.to_bits());
+                }
                 None => return None,
             }
         }
