@@ -91,7 +91,11 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, scanner: &Hdl64) {
         b.iter(|| OrderModel::default().code(&mut encoder(), &mut exceptions.clone(), returns.len(), 0));
     });
     group.bench_function("points", |b| {
-        b.iter(|| PointModel::default().code(&mut encoder(), None, &mut cloud.positions.clone()));
+        b.iter(|| {
+            let mut model = PointModel::default();
+            let analysis = model.analyse(None, &cloud.positions, &[]);
+            model.code(&mut encoder(), None, &mut cloud.positions.clone(), &analysis)
+        });
     });
     group.finish();
 }

@@ -318,6 +318,9 @@ fn recipes() -> Vec<Recipe> {
     for (level, name) in [(1, "-packed"), (6, ""), (9, "-deep")] {
         exact(&format!("firings{name}"), firing_files, at_level(level));
     }
+    for (level, name) in [(1, "-packed"), (3, "-fitted-tokens"), (6, ""), (9, "-deep")] {
+        exact(&format!("trails{name}"), trail_files, at_level(level));
+    }
 
     let mut lossy = |name: &str, files: fn() -> Vec<File>, config: EncoderConfig| {
         recipes.push((name.to_owned(), Box::new(move || encode_files(&files(), &config))));
@@ -464,6 +467,31 @@ fn firing_files() -> Vec<File> {
     frames[1].swap(300, 500);
     let frames = frames.iter().enumerate();
     frames.map(|(number, points)| (format!("{number}.pcd"), pcd_velodyne(points))).collect()
+}
+
+/// Scans of a VLP-16 that no scanner explains, as they were moved with a car: with rings, without, each firing twice with
+/// intensities off any grid, and in half precision.
+fn trail_files() -> Vec<File> {
+    let config = SynthConfig { scanner: SynthScanner::Vlp16, thinning: 2, ..small(9, 4) };
+    let mut frames = scans(&config);
+    for frame in &mut frames {
+        frame.truncate(700);
+        *frame = compensated(frame, [0.0005, 0.0011, -0.02], [-0.8, 0.04, 0.01]);
+    }
+    let twice = frames[2].chunks(16).flat_map(|firing| [firing, firing].concat());
+    let off_grid = |[x, y, z, intensity]: [f32; 4]| [x, y, z, intensity * 0.123 + 0.1 * x];
+    let twice: Vec<_> = twice.map(off_grid).collect();
+    let to_half = |v: f32| f32::from_bits(v.to_bits() & !0x1fff);
+    let half: Vec<_> =
+        frames[3].iter().map(|&[x, y, z, i]| [to_half(x), to_half(y), to_half(z), i]).collect();
+    [
+        ("0.pcd", pcd_velodyne(&frames[0])),
+        ("1.bin", kitti(&frames[1])),
+        ("2.bin", kitti(&twice)),
+        ("3.bin", kitti(&half)),
+    ]
+    .map(|(name, bytes)| (name.to_owned(), bytes))
+    .to_vec()
 }
 
 /// A scanner whose coordinates were not rounded to the millimetre.

@@ -55,6 +55,27 @@ fn code_symbol<C: BitCoder>(nodes: &mut [AdaptiveBit], coder: &mut C, bits: u32,
     node as u32 - (1 << bits)
 }
 
+/// Codes an integer whose length in bits, 63 at most, is known: the two bits below the highest by `nodes`, of which
+/// there are four, and the others as plain bits.
+pub fn code_below_highest<C: BitCoder>(
+    nodes: &mut [AdaptiveBit],
+    coder: &mut C,
+    length: u32,
+    value: u64,
+) -> u64 {
+    if length < 2 {
+        return u64::from(length);
+    }
+    let below = length - 1;
+    let modelled = below.min(2);
+    // A length of 2 has one bit below the highest: the model's upper bit stays 0.
+    let top = (value >> (below - modelled)) & ((1 << modelled) - 1);
+    let top = u64::from(code_symbol(nodes, coder, 2, top as u32)) & ((1 << modelled) - 1);
+    let rest = below - modelled;
+    let low = coder.code_plain(value & ((1 << rest) - 1), rest);
+    ((1 << modelled) | top) << rest | low
+}
+
 /// A model of integers of up to 63 bits: the length in bits as a symbol, the two bits below the highest in
 /// the context of the length, and the other bits, which are nearly random, as plain bits.
 #[derive(Clone, Debug)]
@@ -78,18 +99,7 @@ impl IntegerModel {
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, value: u64) -> u64 {
         let (lengths, tops) = self.nodes.split_at_mut(LENGTHS);
         let length = code_symbol(lengths, coder, 6, 64 - value.leading_zeros());
-        if length < 2 {
-            return u64::from(length);
-        }
-        let below = length - 1;
-        let modelled = below.min(2);
-        // A length of 2 has one bit below the highest: the model's upper bit stays 0.
-        let top = (value >> (below - modelled)) & ((1 << modelled) - 1);
-        let nodes = &mut tops[4 * length as usize..][..4];
-        let top = u64::from(code_symbol(nodes, coder, 2, top as u32)) & ((1 << modelled) - 1);
-        let rest = below - modelled;
-        let low = coder.code_plain(value & ((1 << rest) - 1), rest);
-        ((1 << modelled) | top) << rest | low
+        code_below_highest(&mut tops[4 * length as usize..][..4], coder, length, value)
     }
 
     /// Codes an integer from -2^62 to 2^62 - 1, those near 0 as the shortest.

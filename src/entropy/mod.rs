@@ -17,7 +17,7 @@ mod refinement;
 mod tokens;
 mod weights;
 
-pub use adaptive::{AdaptiveBit, IntegerModel};
+pub use adaptive::{AdaptiveBit, IntegerModel, code_below_highest};
 pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
 pub use hashed::{Candidates, HashedCounters, LINE_LEVELS, Line, hash, hash_below};
 pub use layered_bits::{LayeredBits, LayeredContext};

@@ -18,7 +18,7 @@ use crate::ground::clock::Instant;
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
-use crate::models::{OrderExceptions, RecordContext};
+use crate::models::{OrderExceptions, PointTrail, RecordContext};
 use crate::scan::{Channel, Layout, PointCloud, ScanFile, sorted};
 use crate::scanner::Scanner;
 use crate::scanner::motion::{self, Compensation, by_time};
@@ -54,6 +54,8 @@ pub struct FrameParts {
     /// Positions of these.
     pub positions: Vec<[f32; 3]>,
     pub stray_positions: Vec<[f32; 3]>,
+    /// The trail of each stray, if the model of points coded them.
+    pub stray_trails: Vec<PointTrail>,
     pub stray_intensity: Vec<f32>,
     /// Intensities of the echoes.
     pub echo_intensity: Vec<f32>,
@@ -371,6 +373,9 @@ impl FrameParts {
                 context.range_step_m = scanner.range_step_m();
                 context.tick_degrees = 360.0 / f64::from(scanner.build().ticks);
             }
+        } else if !self.stray_trails.is_empty() {
+            context.rows = self.stray_trails.iter().map(|trail| trail.row).collect();
+            context.columns = vec![0; context.rows.len()];
         }
         Ok(context)
     }

@@ -1,337 +1,478 @@
 //! Points one by one, for scans without a scanner model and for the strays of others. FORMAT.md 8.4.
 //!
-//! A point that is the same as an earlier one to the bit is coded as its repeat. All others are predicted from those
-//! before and, if the points are in turns, from the nearest one of the preceding turn: first the larger horizontal
-//! coordinate, then the other one along the expected direction, then the height at the resulting distance.
+//! A point that is the same as an earlier one to the bit is coded as its repeat. All others are told which point their
+//! laser measured before, and predicted from that one and from how other lasers have turned since: first the larger
+//! horizontal coordinate, then the other one in the expected direction, then the height at the resulting distance.
 
-use std::collections::HashMap;
+mod predecessors;
+mod repeats;
+mod trails;
+
+use repeats::{RepeatModel, Source};
+use trails::{TrailModel, Trails};
 
 use super::least_squares::LeastSquares;
-use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::ground::varint::saturated;
+use crate::entropy::{AdaptiveBit, ArithmeticEncoder, BitCoder, MixedBits, code_below_highest};
+use crate::ground::varint::{unzigzag, zigzag};
+use crate::scan::Channel;
 use crate::scanner::Coordinates;
 
-/// Number of candidate predictions for each coordinate; the one with the smallest recent errors is used.
-const CANDIDATES: usize = 4;
-/// Classes of the recent errors, in bits.
-const ERROR_BITS: usize = 36;
-
 /// The adaptive models of points.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub struct PointModel {
     repeats: RepeatModel,
-    coordinates: [CoordinateModel; 3],
-    /// Height as a function of distance within a turn: a beam's cone.
-    cone: LeastSquares<4>,
+    trails: TrailModel,
+    /// Of points that continue a trail, and of those that begin one. Large, so there are none before the first point.
+    coordinates: Option<Box<[[CoordinateModel; 3]; 2]>>,
+    parallax: Parallax,
 }
 
-impl Default for PointModel {
+/// The indices of the points that are not repeats.
+fn not_repeated(sources: &[Option<Source>]) -> Vec<usize> {
+    (0..sources.len()).filter(|&index| sources[index].is_none()).collect()
+}
+
+/// What an encoder finds out about positions before they are coded.
+#[derive(Clone, Debug)]
+pub struct Analysis {
+    grid: Coordinates,
+    /// For each point that is not a repeat: the number, among these, of the point before it in its trail.
+    before: Vec<Option<usize>>,
+}
+
+impl Default for Analysis {
+    /// Of a decoder, which knows nothing.
     fn default() -> Self {
-        PointModel {
-            repeats: RepeatModel::default(),
-            coordinates: std::array::from_fn(|_| CoordinateModel::new()),
-            cone: LeastSquares::new(0.98),
-        }
+        Analysis { grid: Coordinates::Float32, before: Vec::new() }
     }
 }
 
+/// What is known of a point besides its position, once it is coded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PointTrail {
+    /// The number of its trail, counted from 1; 0 if it repeats another point.
+    pub row: u32,
+    /// The index of the point before it in its trail, or of the one that it repeats.
+    pub before: Option<usize>,
+}
+
+impl PointTrail {
+    /// The index of the point that it repeats, if it does.
+    pub fn source(&self) -> Option<usize> {
+        self.before.filter(|_| self.row == 0)
+    }
+}
+
+/// The coordinates of a point in other terms.
+#[derive(Clone, Copy, Default)]
+struct Place {
+    position: [f64; 3],
+    /// In radians.
+    azimuth: f64,
+    /// The distance from the vertical axis, in metres.
+    distance: f64,
+    /// The index of the point before it in its trail, if it continues one.
+    before: Option<usize>,
+}
+
+impl Place {
+    fn of(position: [f32; 3], before: Option<usize>) -> Self {
+        let position = finite(position);
+        let [x, y, _] = position;
+        Place { position, azimuth: libm::atan2(y, x), distance: (x * x + y * y).sqrt(), before }
+    }
+
+    fn closeness(&self) -> f64 {
+        closeness(self.distance)
+    }
+}
+
+/// The reciprocal of a distance, limited to that of a centimetre.
+fn closeness(distance: f64) -> f64 {
+    1.0 / distance.max(0.01)
+}
+
+/// A difference of angles, in radians, as one of half a turn at most.
+fn turned(angle: f64) -> f64 {
+    const TURN: f64 = std::f64::consts::TAU;
+    angle - TURN * crate::ground::rounding::round_ties_even(angle / TURN)
+}
+
 impl PointModel {
-    /// Codes positions one after the other. Most of them are on `grid`; `None` means one that is
-    /// found and coded first.
+    /// For an encoder: what `code` needs to know about positions before it codes them. Most of them are on `grid`; `None`
+    /// means one that is found. A channel of these points may tell which laser measured them.
+    pub fn analyse(
+        &self,
+        grid: Option<Coordinates>,
+        positions: &[[f32; 3]],
+        channels: &[Channel],
+    ) -> Analysis {
+        let grid = grid.unwrap_or_else(|| Coordinates::of_most(positions));
+        let sources = RepeatModel::default().code(&mut ArithmeticEncoder::default(), positions);
+        let before = self.find_trails(grid, positions, channels, &not_repeated(&sources));
+        Analysis { grid, before }
+    }
+
+    /// Codes positions one after the other. Their grid, if it is not given, comes first. An encoder passes the analysis
+    /// of these positions. Returns what is known of each point from then on.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
         grid: Option<Coordinates>,
         positions: &mut [[f32; 3]],
-    ) {
-        let grid = grid.unwrap_or_else(|| code_grid(coder, Coordinates::of_most(positions)));
-        let mut turns = TurnTracker::default();
-        let mut repeats = Repeats::default();
-        for index in 0..positions.len() {
-            if coder.is_exhausted() {
-                return;
+        analysis: &Analysis,
+    ) -> Vec<PointTrail> {
+        let grid = grid.unwrap_or_else(|| code_grid(coder, analysis.grid));
+        let sources = self.repeats.code(coder, positions);
+        let mut trails = self.code_own(coder, grid, positions, &not_repeated(&sources), &analysis.before);
+        for (index, source) in sources.iter().enumerate() {
+            let Some(source) = source else { continue };
+            positions[index] = source.position(positions);
+            if let Source::Point(before) = *source {
+                trails[index].before = Some(before);
             }
-            if self.repeats.code(coder, &mut repeats, positions, index) {
-                let [x, y, _] = finite(positions[index]);
-                turns.push(index, direction(x, y));
-                continue;
-            }
-            let before = |distance: usize| index.checked_sub(distance).map(|i| finite(positions[i]));
-            let west = before(1).unwrap_or_default();
-            let west2 = before(2).unwrap_or(west);
-            let expected: [f64; 2] = std::array::from_fn(|axis| 2.0 * west[axis] - west2[axis]);
-            let above = turns.nearest_above(direction(expected[0], expected[1]));
-            let north = above.map_or(west, |i| finite(positions[i]));
-            let north_west = above.map_or(west2, |i| finite(positions[i.saturating_sub(1)]));
-            let near = [west, west2, north, north_west];
-            positions[index] = self.code_point(coder, grid, &near, positions[index]);
-            let [x, y, _] = finite(positions[index]);
-            turns.push(index, direction(x, y));
         }
+        trails
     }
 
+    /// About the number of bytes that `code` would take.
+    pub fn size_of(&self, positions: &[[f32; 3]], analysis: &Analysis) -> usize {
+        let mut encoder = ArithmeticEncoder::default();
+        let sources = self.repeats.clone().code(&mut encoder, positions);
+        let own = not_repeated(&sources);
+        encoder.finish().len() + self.size_of_own(analysis.grid, positions, &own, &analysis.before)
+    }
+
+    /// For an encoder: the number of the point before each of the points `own` in its trail, by the way that takes the
+    /// fewest bytes.
+    fn find_trails(
+        &self,
+        grid: Coordinates,
+        positions: &[[f32; 3]],
+        channels: &[Channel],
+        own: &[usize],
+    ) -> Vec<Option<usize>> {
+        let mut ways = predecessors::ways(positions, channels, own);
+        if ways.len() == 1 {
+            return ways.swap_remove(0);
+        }
+        let size = |known: &Vec<Option<usize>>| self.size_of_own(grid, positions, own, known);
+        ways.into_iter().min_by_key(size).unwrap_or_default()
+    }
+
+    /// About the number of bytes of the points `own`, from the first of them.
+    fn size_of_own(
+        &self,
+        grid: Coordinates,
+        positions: &[[f32; 3]],
+        own: &[usize],
+        known: &[Option<usize>],
+    ) -> usize {
+        const SAMPLE: usize = 16_384;
+        let sample = &own[..own.len().min(SAMPLE)];
+        let mut encoder = ArithmeticEncoder::default();
+        let end = sample.last().map_or(0, |last| last + 1);
+        self.clone().code_own(&mut encoder, grid, &mut positions[..end].to_vec(), sample, known);
+        encoder.finish().len() * own.len() / sample.len().max(1)
+    }
+
+    /// Codes the points `own`; an encoder knows the number of the point before each in its trail.
+    fn code_own<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        grid: Coordinates,
+        positions: &mut [[f32; 3]],
+        own: &[usize],
+        known: &[Option<usize>],
+    ) -> Vec<PointTrail> {
+        let mut known_trails = vec![PointTrail::default(); positions.len()];
+        let mut trails = Trails::default();
+        let mut places: Vec<Place> = Vec::with_capacity(own.len());
+        for (point, &index) in own.iter().enumerate() {
+            if coder.is_exhausted() {
+                break;
+            }
+            let known = known.get(point).copied().flatten();
+            let continues = trails.code(coder, &mut self.trails, point, known);
+            positions[index] =
+                self.code_point(coder, grid, &mut trails, &mut places, continues, positions[index]);
+            let number = trails.current().map_or(0, |trail| trail.number);
+            let before = places.get(point).and_then(|place| place.before).map(|before| own[before]);
+            known_trails[index] = PointTrail { row: u32::from(number) + 1, before };
+        }
+        known_trails
+    }
+
+    /// Codes a point in the current trail.
     fn code_point<C: BitCoder>(
         &mut self,
         coder: &mut C,
         grid: Coordinates,
-        near: &[[f64; 3]; 4],
+        trails: &mut Trails,
+        places: &mut Vec<Place>,
+        continues: bool,
         mut position: [f32; 3],
     ) -> [f32; 3] {
-        let [west, west2, north, north_west] = near;
-        let (major, minor) = if west[0].abs() >= west[1].abs() { (0, 1) } else { (1, 0) };
+        let Some(trail) = trails.current() else { return position };
+        let index = places.len();
+        let at = |index: usize| places.get(index).copied().unwrap_or_default();
+        let [last, earlier] = match continues {
+            true => trail.last,
+            false => [index.saturating_sub(1), index.saturating_sub(2)],
+        };
+        let (west, west2) = (at(last), at(earlier));
+        let partners = Partners::of(places, last).filter(|_| continues);
+        let [north, north_west] = partners.as_ref().map_or([west; 2], |partners| partners.nearest.map(at));
+        let models = self.coordinates.get_or_insert_default();
+        let [x_or_y, y_or_x, z] = &mut models[usize::from(!continues)];
+        let [major_error, minor_error, z_error] = &mut trail.errors;
 
-        let [w, ww, n, nw] = near.map(|p| p[major]);
-        position[major] =
-            self.coordinates[0].code(coder, grid, [w, 2.0 * w - ww, w + n - nw, n], position[major]);
+        // The expected direction, and the larger coordinate in it.
+        let offset = self.parallax.offset();
+        let step = self.parallax.step(north, north_west);
+        let middle_step =
+            partners.as_ref().map_or(step, |partners| partners.middle_step(places, &self.parallax));
+        let azimuth = west.azimuth + step;
+        let direction = [libm::cos(azimuth), libm::sin(azimuth)];
+        let (major, minor) = if direction[0].abs() >= direction[1].abs() { (0, 1) } else { (1, 0) };
+        let farther = [west.distance - west2.distance, north.distance - north_west.distance];
+        let distances = [west.distance, west.distance + farther[0], west.distance + farther[1]];
+        let predictions = distances.map(|distance| distance * direction[major]);
+        let detail = farther.map(|farther| (exponent(farther) + 8).clamp(0, 7) as usize);
+        let detail = detail[0] * 8 + detail[1];
+        position[major] = x_or_y.code(coder, grid, predictions, (detail, major_error), position[major]);
 
+        // The other one, in the direction that is expected at the resulting distance.
         let along = finite(position)[major];
-        let slope = |p: &[f64; 3]| if p[major] == 0.0 { 0.0 } else { p[minor] / p[major] };
-        let [w, ww, n, nw] = near.map(|p| slope(&p));
-        let slopes = [w, 2.0 * w - ww, w + n - nw, n];
-        position[minor] = self.coordinates[1].code(coder, grid, slopes.map(|s| along * s), position[minor]);
-
-        let distance = |p: &[f64; 3]| (p[0] * p[0] + p[1] * p[1]).sqrt();
-        let own = distance(&finite(position));
-        let at_distance = |p: &[f64; 3]| if distance(p) == 0.0 { p[2] } else { p[2] * own / distance(p) };
-        let farther = (own - distance(west)).clamp(-CONE_REACH, CONE_REACH) as f32;
-        let heights = [
-            west[2] + f64::from(self.cone.predict(&[farther, 0.0, 0.0, 0.0])),
-            at_distance(west),
-            at_distance(north) + at_distance(west) - at_distance(north_west),
-            2.0 * west[2] - west2[2],
+        let closer = closeness(along / direction[major]) - west.closeness();
+        let plain_step = turned(north.azimuth - north_west.azimuth);
+        let azimuths = [
+            azimuth + offset * closer,
+            west.azimuth + middle_step + offset * closer,
+            west.azimuth + plain_step,
+            west.azimuth + turned(west.azimuth - west2.azimuth),
         ];
-        position[2] = self.coordinates[2].code(coder, grid, heights, position[2]);
-        let rise = (finite(position)[2] - west[2]).clamp(-CONE_REACH, CONE_REACH) as f32;
-        self.cone.learn(&[farther, 0.0, 0.0, 0.0], rise, 1.0);
+        let predictions = azimuths.map(|azimuth| {
+            let direction = [libm::cos(azimuth), libm::sin(azimuth)];
+            along * direction[minor] / direction[major]
+        });
+        let detail = (exponent(closer) + 22).clamp(0, 31) as usize;
+        position[minor] = y_or_x.code(coder, grid, predictions, (detail, minor_error), position[minor]);
+
+        // The height at this distance.
+        let own = Place::of(position, continues.then_some(last));
+        let steps: [f64; 3] = [
+            own.distance - west.distance,
+            own.position[0] - west.position[0],
+            own.position[1] - west.position[1],
+        ];
+        let tenths = |metres: f64| (metres * 1e4).clamp(-1e7, 1e7) as f32;
+        let features = [tenths(steps[0]), tenths(steps[1]), tenths(steps[2]), 1.0];
+        let in_line = |place: Place| {
+            if place.distance == 0.0 {
+                place.position[2]
+            } else {
+                place.position[2] * (own.distance / place.distance)
+            }
+        };
+        let height = west.position[2];
+        let predictions = [
+            height + f64::from(trail.cone.predict(&features)) / 1e4,
+            in_line(west),
+            in_line(west) + in_line(north) - in_line(north_west),
+            2.0 * height - west2.position[2],
+        ];
+        let detail = (exponent(steps[0]) + 14).clamp(0, 31) as usize;
+        position[2] = z.code(coder, grid, predictions, (detail, z_error), position[2]);
+
+        let own = Place::of(position, continues.then_some(last));
+        if continues {
+            let shared = features[0] / 1000.0;
+            trail.cone.learn(&features, tenths(own.position[2] - height), 1.0 / (1.0 + shared * shared));
+            self.parallax.learn([own, west], [north, north_west]);
+            trail.last = [index, last];
+        }
+        places.push(own);
         position
     }
 }
 
-/// How a point is the same as an earlier one.
-#[derive(Clone, Copy, Default, PartialEq, Eq)]
-enum Repeat {
-    /// It is not, or is coded as if it were not.
-    #[default]
-    No,
-    /// The point at the last distance: in a run of second returns that are the same as the first ones.
-    Next,
-    /// The position that the last `At` repeated, at first (0, 0, 0): that of points without a return.
-    Held,
-    /// The point so many points before.
-    At(usize),
+/// The latest points of other lasers that were measured together with the coming one, as far as their predecessors were
+/// measured together with its own.
+struct Partners {
+    /// The latest partner, and its predecessor.
+    nearest: [usize; 2],
+    /// Up to three.
+    all: [[usize; 2]; 3],
+    count: usize,
 }
 
-impl Repeat {
-    /// Its number as a context.
-    fn kind(self) -> usize {
-        match self {
-            Repeat::No => 0,
-            Repeat::Next => 1,
-            Repeat::Held => 2,
-            Repeat::At(_) => 3,
+impl Partners {
+    /// The partners of a point whose trail has `last` as its last point.
+    fn of(places: &[Place], last: usize) -> Option<Self> {
+        const FARTHEST: usize = 12;
+        const MISSING: usize = 8;
+        let mut partners = Partners { nearest: [0; 2], all: [[0; 2]; 3], count: 0 };
+        let latest = places.iter().enumerate().rev().zip(1..=FARTHEST);
+        for ((index, place), back) in latest {
+            let Some(before) =
+                place.before.filter(|&before| before < last && last - before <= back + MISSING)
+            else {
+                continue;
+            };
+            partners.all[partners.count] = [index, before];
+            partners.count += 1;
+            if partners.count == partners.all.len() {
+                break;
+            }
+        }
+        partners.nearest = partners.all[0];
+        (partners.count > 0).then_some(partners)
+    }
+
+    /// The step of the middle one of three partners; if there are fewer, of the nearest.
+    fn middle_step(&self, places: &[Place], parallax: &Parallax) -> f64 {
+        let mut steps = self.all.map(|[index, before]| parallax.step(places[index], places[before]));
+        if self.count < self.all.len() {
+            return steps[0];
+        }
+        steps.sort_by(f64::total_cmp);
+        steps[1]
+    }
+}
+
+/// How far beside the origin the beams begin: for a moving scanner, or one that is not the origin, a laser's azimuth
+/// changes with the distance of what it hits.
+#[derive(Clone)]
+struct Parallax(LeastSquares<4>);
+
+impl Default for Parallax {
+    fn default() -> Self {
+        Parallax(LeastSquares::new(0.998).solved_every(1))
+    }
+}
+
+impl Parallax {
+    /// In metres, to the left of the direction.
+    fn offset(&self) -> f64 {
+        f64::from(self.0.predict(&[1.0, 0.0, 0.0, 0.0])).clamp(-3.0, 3.0)
+    }
+
+    /// How far a laser has turned between two points, in radians.
+    fn step(&self, to: Place, from: Place) -> f64 {
+        turned(to.azimuth - from.azimuth) - self.offset() * (to.closeness() - from.closeness())
+    }
+
+    /// Learns from a point, the one before it, and the same of another laser.
+    fn learn(&mut self, [own, west]: [Place; 2], [north, north_west]: [Place; 2]) {
+        /// In radians; what differs by more is not a matter of parallax.
+        const LARGEST: f64 = 8e-4;
+        let step = turned(own.azimuth - west.azimuth) - turned(north.azimuth - north_west.azimuth);
+        if step.abs() < LARGEST {
+            let closer = (own.closeness() - west.closeness()) - (north.closeness() - north_west.closeness());
+            self.0.learn(&[(closer * 1e6) as f32, 0.0, 0.0, 0.0], (step * 1e6) as f32, 1.0);
         }
     }
 }
 
-/// Number of kinds of repeats.
-const REPEAT_KINDS: usize = 4;
+/// The recent error of a model that has seen none: a hundredth of a metre or so.
+const FIRST_ERROR: f32 = -6.0;
+/// Classes of errors, in bits.
+const ERRORS: usize = 40;
+/// Classes of what else is known of a coordinate.
+const DETAILS: usize = 64;
+/// Lengths of residuals, in bits.
+const LENGTHS: usize = 64;
 
-/// The adaptive models of repeats, by the kind of the point before.
-#[derive(Clone, Default)]
-struct RepeatModel {
-    /// Also by whether the next point of a run is itself a repeat, which usually ends the run.
-    is_repeat: [[AdaptiveBit; 2]; REPEAT_KINDS],
-    is_at: [AdaptiveBit; REPEAT_KINDS],
-    is_held: [AdaptiveBit; REPEAT_KINDS],
-    distances: IntegerModel,
+/// One coordinate against several predictions, of which the one with the smallest recent errors is used. The size of an
+/// error is the binary logarithm of metres, to within one.
+#[derive(Clone)]
+struct CoordinateModel {
+    /// The recent size of each prediction's errors.
+    errors: [f32; 4],
+    raw: AdaptiveBit,
+    /// The length of the residual.
+    length: MixedBits<3, 8>,
+    /// The bits below its highest.
+    below: Vec<AdaptiveBit>,
 }
 
-/// The repeats of a frame so far.
-#[derive(Default)]
-struct Repeats {
-    last: Repeat,
-    /// The last distance; 0 if there was none.
-    distance: usize,
-    held: [f32; 3],
-    /// For each point, whether it is a repeat.
-    are_repeats: Vec<bool>,
-    /// Known to an encoder only: the last point with these bits.
-    places: HashMap<[u32; 3], usize>,
-}
-
-impl Repeats {
-    /// How a point is coded.
-    fn find(&mut self, positions: &[[f32; 3]], index: usize) -> Repeat {
-        /// A run that begins with a new distance has at least this many points; what fewer points have in common may
-        /// be chance.
-        const SHORTEST: usize = 4;
-        let bits = |index: usize| positions.get(index).map(|position| position.map(f32::to_bits));
-        let own = positions[index].map(f32::to_bits);
-        let before = self.places.insert(own, index);
-        let is_next = self.distance > 0 && index.checked_sub(self.distance).and_then(bits) == Some(own);
-        let is_no_place = positions[index].iter().any(|value| !value.is_finite());
-        let is_run = |before: usize| {
-            (1..SHORTEST).all(|n| bits(index + n).is_some_and(|own| Some(own) == bits(before + n)))
-        };
-        match before {
-            _ if is_next => Repeat::Next,
-            _ if own == self.held.map(f32::to_bits) => Repeat::Held,
-            Some(before) if is_no_place || is_run(before) => Repeat::At(index - before),
-            _ => Repeat::No,
+impl Default for CoordinateModel {
+    fn default() -> Self {
+        let places = [ERRORS, ERRORS * ERRORS, DETAILS * ERRORS].map(|contexts| contexts * LENGTHS);
+        CoordinateModel {
+            errors: [FIRST_ERROR; 4],
+            raw: AdaptiveBit::default(),
+            length: MixedBits::new(places, LENGTHS, 0.4, 0.0, 0.015),
+            below: vec![AdaptiveBit::default(); 4 * LENGTHS],
         }
     }
 }
 
-impl RepeatModel {
-    /// Codes whether a point is the same as an earlier one. If so, sets its position and returns true.
-    fn code<C: BitCoder>(
+impl CoordinateModel {
+    /// Codes a coordinate. `detail` is what is known of it; `trail_error`, the recent size of residuals in its trail, changes.
+    fn code<C: BitCoder, const N: usize>(
         &mut self,
         coder: &mut C,
-        repeats: &mut Repeats,
-        positions: &mut [[f32; 3]],
-        index: usize,
-    ) -> bool {
-        let repeat = if C::ENCODES { repeats.find(positions, index) } else { Repeat::No };
-        let kind = repeats.last.kind();
-        // The distance is at most `index`, except in damaged streams.
-        let source = |distance: usize| index.checked_sub(distance).filter(|_| distance > 0);
-        let ends = source(repeats.distance).is_some_and(|source| repeats.are_repeats[source]);
-        let is_repeat = self.is_repeat[kind][usize::from(ends)].code(coder, repeat != Repeat::No);
-        repeats.are_repeats.push(is_repeat);
-        if !is_repeat {
-            repeats.last = Repeat::No;
-            return false;
+        grid: Coordinates,
+        predictions: [f64; N],
+        (detail, trail_error): (usize, &mut f32),
+        value: f32,
+    ) -> f32 {
+        let best = (0..N).min_by(|&a, &b| self.errors[a].total_cmp(&self.errors[b])).unwrap_or(0);
+        let predicted = grid.unit_of(predictions[best]);
+        let fits = |unit: &i64| grid.value(*unit, predictions[best]).to_bits() == value.to_bits();
+        let unit = grid.unit_in_file(value).filter(fits);
+        if self.raw.code(coder, unit.is_none()) {
+            return f32::from_bits(coder.code_plain(u64::from(value.to_bits()), 32) as u32);
         }
-        let position_of = |distance: usize| source(distance).map_or([0.0; 3], |source| positions[source]);
-        let position = if self.is_at[kind].code(coder, matches!(repeat, Repeat::At(_))) {
-            let distance = if let Repeat::At(distance) = repeat { distance } else { 0 };
-            repeats.distance = saturated(self.distances.code(coder, distance as u64));
-            repeats.last = Repeat::At(repeats.distance);
-            repeats.held = position_of(repeats.distance);
-            repeats.held
-        } else if self.is_held[kind].code(coder, repeat == Repeat::Held) {
-            repeats.last = Repeat::Held;
-            repeats.held
-        } else {
-            repeats.last = Repeat::Next;
-            position_of(repeats.distance)
-        };
-        positions[index] = position;
-        true
+        let step = grid.step_exponent(predictions[best]);
+        let class = |error: f32| ((error - step as f32) as usize).min(ERRORS - 1);
+        let (own, of_trail) = (class(self.errors[best]), class(*trail_error));
+        let both = class(0.5 * (self.errors[best] + *trail_error));
+        let contexts = [own, of_trail * ERRORS + own, detail * ERRORS + both];
+        let residual = zigzag(unit.unwrap_or(0).wrapping_sub(predicted)) & (u64::MAX >> 1);
+        let length = self.code_length(coder, contexts, u64::BITS - residual.leading_zeros());
+        let below = &mut self.below[4 * length as usize..][..4];
+        let residual = code_below_highest(below, coder, length, residual);
+        let unit = predicted.wrapping_add(unzigzag(residual));
+        for (error, prediction) in self.errors.iter_mut().zip(predictions) {
+            let off = unit.wrapping_sub(grid.unit_of(prediction)).unsigned_abs();
+            let size = (u64::BITS - off.leading_zeros()) as i32 + grid.step_exponent(prediction);
+            *error = 0.9 * *error + 0.1 * size as f32;
+        }
+        let off = unit.wrapping_sub(predicted).unsigned_abs();
+        let size = (u64::BITS - off.leading_zeros()) as i32 + step;
+        *trail_error = 0.7 * *trail_error + 0.3 * size as f32;
+        grid.value(unit, predictions[best])
+    }
+
+    /// Codes the length of a residual, in bits.
+    fn code_length<C: BitCoder>(&mut self, coder: &mut C, contexts: [usize; 3], length: u32) -> u32 {
+        let mut node = 1;
+        for bit in (0..LENGTHS.ilog2()).rev() {
+            let places = contexts.map(|context| context * LENGTHS + node);
+            let bit = self.length.code(coder, node, &places, 0.0, length >> bit & 1 == 1);
+            node = node << 1 | usize::from(bit);
+        }
+        (node - LENGTHS) as u32
     }
 }
 
 /// Codes a grid by its numbers; those of none stand for `Float32`.
 fn code_grid<C: BitCoder>(coder: &mut C, grid: Coordinates) -> Coordinates {
     let (kind, step) = grid.to_numbers();
-    let kind = coder.code_plain(kind.into(), 2) as u32;
+    let kind = coder.code_plain(kind.into(), 3) as u32;
     let step = if kind < 2 { 0 } else { coder.code_plain(step.into(), 30) as u32 };
     Coordinates::from_numbers(kind, step).unwrap_or(Coordinates::Float32)
 }
 
-/// In metres; a larger step carries no information about a beam's cone.
-const CONE_REACH: f64 = 1000.0;
-
-/// One coordinate against several predictions.
-#[derive(Clone)]
-struct CoordinateModel {
-    /// The recent error of each candidate, in bits.
-    errors: [f32; CANDIDATES],
-    raw: AdaptiveBit,
-    /// Residuals for each candidate and class of recent error.
-    residual: Vec<IntegerModel>,
-}
-
-impl CoordinateModel {
-    fn new() -> Self {
-        CoordinateModel {
-            errors: [16.0; CANDIDATES],
-            raw: AdaptiveBit::default(),
-            residual: vec![IntegerModel::default(); ERROR_BITS],
-        }
-    }
-
-    fn code<C: BitCoder>(
-        &mut self,
-        coder: &mut C,
-        grid: Coordinates,
-        predictions: [f64; CANDIDATES],
-        value: f32,
-    ) -> f32 {
-        let best = (0..CANDIDATES).min_by(|&a, &b| self.errors[a].total_cmp(&self.errors[b])).unwrap_or(0);
-        let units = predictions.map(|p| grid.unit_of(p));
-        let fits = |unit: &i64| grid.value(*unit, predictions[best]).to_bits() == value.to_bits();
-        let unit = grid.unit_in_file(value).filter(fits);
-        if self.raw.code(coder, unit.is_none()) {
-            return f32::from_bits(coder.code_plain(u64::from(value.to_bits()), 32) as u32);
-        }
-        let level = (self.errors[best] as usize).min(ERROR_BITS - 1);
-        let residual = unit.unwrap_or(0).wrapping_sub(units[best]);
-        let unit = units[best].wrapping_add(self.residual[level].code_signed(coder, residual));
-        for (error, predicted) in self.errors.iter_mut().zip(units) {
-            let bits = u64::BITS - unit.wrapping_sub(predicted).unsigned_abs().leading_zeros();
-            *error = 0.8 * *error + 0.2 * bits as f32;
-        }
-        grid.value(unit, predictions[best])
-    }
+/// The exponent of a number's highest binary digit; -1023 for 0.
+fn exponent(value: f64) -> i32 {
+    (value.to_bits() >> 52 & 0x7ff) as i32 - 1023
 }
 
 /// A position to predict from; coordinates that are not finite count as 0.
 fn finite(position: [f32; 3]) -> [f64; 3] {
     position.map(|v| if v.is_finite() { f64::from(v) } else { 0.0 })
-}
-
-/// A measure of the azimuth without trigonometry: 0 to 4, increasing with the angle.
-fn direction(x: f64, y: f64) -> f64 {
-    let sum = x.abs() + y.abs();
-    let part = if sum == 0.0 { 0.0 } else { y / sum };
-    match (x < 0.0, y < 0.0) {
-        (false, false) => part,
-        (true, _) => 2.0 - part,
-        (false, true) => 4.0 + part,
-    }
-}
-
-/// Follows points around the axis, turn by turn, and finds neighbours in the preceding turn.
-#[derive(Clone, Default)]
-pub struct TurnTracker {
-    above: Vec<(usize, f64)>,
-    current: Vec<(usize, f64)>,
-    cursor: usize,
-}
-
-impl TurnTracker {
-    /// The index of the point of the preceding turn that is nearest to a direction.
-    fn nearest_above(&mut self, direction: f64) -> Option<usize> {
-        let apart = |cursor: usize| self.above.get(cursor).map(|(_, d)| (d - direction).abs());
-        let mut cursor = self.cursor;
-        while apart(cursor + 1).is_some_and(|next| apart(cursor).is_some_and(|here| next <= here)) {
-            cursor += 1;
-        }
-        self.cursor = cursor;
-        self.above.get(cursor).map(|(index, _)| *index)
-    }
-
-    /// Adds a point; a jump over most of a turn starts a new turn.
-    fn push(&mut self, index: usize, direction: f64) {
-        if self.current.last().is_some_and(|(_, last)| (direction - last).abs() > 3.0) {
-            self.above = std::mem::take(&mut self.current);
-            self.cursor = 0;
-        }
-        self.current.push((index, direction));
-    }
-}
-
-/// For each position, the index of its neighbour in the preceding turn.
-pub fn neighbours_above(positions: &[[f32; 3]]) -> Vec<Option<usize>> {
-    let mut turns = TurnTracker::default();
-    (0..positions.len())
-        .map(|index| {
-            let [x, y, _] = finite(positions[index]);
-            let direction = direction(x, y);
-            // Added first, so that the first point of a turn is compared with the turn just completed.
-            turns.push(index, direction);
-            turns.nearest_above(direction)
-        })
-        .collect()
 }

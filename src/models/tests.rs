@@ -6,7 +6,7 @@ use crate::entropy::{
 use crate::ground::grid::Grid;
 use crate::ground::random::Rng;
 use crate::models::IntensityScale;
-use crate::scan::squared_distance;
+use crate::scan::{Channel, Field, Scalar, squared_distance};
 use crate::scanner::Coordinates;
 use proptest::prelude::*;
 
@@ -261,14 +261,81 @@ fn levels_rise_with_the_magnitude() {
 
 /// The bytes that points take without a scanner, which come back.
 fn size_of_points(points: &[[f32; 3]]) -> usize {
+    size_of_points_with(points, &[])
+}
+
+/// The same, if these are their channels.
+fn size_of_points_with(points: &[[f32; 3]], channels: &[Channel]) -> usize {
     let mut encoder = ArithmeticEncoder::default();
-    PointModel::default().code(&mut encoder, None, &mut points.to_vec());
+    let analysis = PointModel::default().analyse(None, points, channels);
+    let known = PointModel::default().code(&mut encoder, None, &mut points.to_vec(), &analysis);
     let bytes = encoder.finish();
     let mut decoded = vec![[0.0; 3]; points.len()];
-    PointModel::default().code(&mut ArithmeticDecoder::new(&bytes), None, &mut decoded);
+    let mut decoder = ArithmeticDecoder::new(&bytes);
+    let found = PointModel::default().code(&mut decoder, None, &mut decoded, &Analysis::default());
+    assert_eq!(found, known);
     let bits = |points: &[[f32; 3]]| points.as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     assert!(bits(&decoded) == bits(points));
     bytes.len()
+}
+
+/// Firings of 16 lasers around a point beside the origin and `above` it, with noise, and without some returns. Each point
+/// has the number of its laser.
+fn firings_beside_the_origin(above: f64) -> Vec<([f32; 3], u8)> {
+    let mut random = Rng::keyed(5, &[]);
+    let firing = |firing: usize| {
+        let lasers = (0..16u8).filter(|_| random.between(0.0, 1.0) < 0.9).collect::<Vec<_>>();
+        let point = |laser: u8| {
+            let azimuth = firing as f64 * 0.0035 + f64::from(laser % 4) * 0.02;
+            let noise = random.between(-0.02, 0.02);
+            let range = 8.0 + 2.0 * libm::sin(5.0 * azimuth) + f64::from(laser) * 0.7 + noise;
+            let elevation = f64::from(laser) * 0.035 - 0.26;
+            let (along, height) = (range * libm::cos(elevation), range * libm::sin(elevation) + above);
+            let position = [along * libm::cos(azimuth) + 0.9, along * libm::sin(azimuth) - 0.4, height];
+            (position.map(|v| v as f32), laser)
+        };
+        lasers.into_iter().map(point).collect::<Vec<_>>()
+    };
+    (0..600).flat_map(firing).collect()
+}
+
+#[test]
+fn points_are_predicted_along_their_trails() {
+    let in_order = firings_beside_the_origin(0.0);
+    let positions =
+        |points: &[([f32; 3], u8)]| points.iter().map(|(position, _)| *position).collect::<Vec<_>>();
+    let rings = |points: &[([f32; 3], u8)]| {
+        let bytes = points.iter().map(|(_, laser)| *laser).collect();
+        [Channel { field: Field::new("ring", Scalar::U8), bytes }]
+    };
+    let trailed = size_of_points(&positions(&in_order));
+    let bits = 8.0 * trailed as f64 / in_order.len() as f64;
+    // Of 96 bits. The noise of the ranges alone takes some 17.
+    assert!(bits < 40.0, "{bits} bits a point");
+
+    let mut random = Rng::keyed(6, &[]);
+    let mut chaos = positions(&in_order);
+    for last in (1..chaos.len()).rev() {
+        chaos.swap(last, random.between(0.0, last as f64 + 0.999) as usize);
+    }
+    let chaos = size_of_points(&chaos);
+    assert!(3 * trailed < 2 * chaos, "{trailed} and {chaos} bytes");
+
+    // High above the origin, the elevation of a laser changes with the distance of its points. Its number does not.
+    let high = firings_beside_the_origin(1.7);
+    let [without, with] =
+        [&[][..], &rings(&high)].map(|channels| size_of_points_with(&positions(&high), channels));
+    assert!(with < without, "{with} and {without} bytes");
+}
+
+#[test]
+fn more_trails_than_a_ring_holds_come_back() {
+    // Each point begins a trail, as none is near another.
+    let mut random = Rng::keyed(8, &[]);
+    let points: Vec<_> = (0..700).map(|_| [0; 3].map(|_| random.between(-90.0, 90.0) as f32)).collect();
+    assert!(size_of_points(&points) < 12 * points.len());
+    let few = &points[..3];
+    (0..=few.len()).for_each(|count| assert!(size_of_points(&few[..count]) < 80));
 }
 
 #[test]

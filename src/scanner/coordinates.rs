@@ -20,6 +20,8 @@ pub enum Coordinates {
     /// The float32 values nearest to decimal numbers with this many significant digits, 1 to 9: text (`%g`).
     /// Units count those numbers in ascending order.
     Digits(u8),
+    /// Half-precision numbers, with 11 significant bits. Units count the float32 values whose other 13 bits are 0.
+    Half,
 }
 
 impl Coordinates {
@@ -86,7 +88,10 @@ impl Coordinates {
         };
         let lattices = STEPS.map(|step_nm| Coordinates::Lattice { step_nm });
         let grids = [Coordinates::Float32, Coordinates::Millimetre].into_iter().chain(lattices);
-        let grids = grids.chain((4..=8).map(Coordinates::Digits)).map(|grid| (bits(&grid), grid));
+        let grids = grids
+            .chain((4..=8).map(Coordinates::Digits))
+            .chain([Coordinates::Half])
+            .map(|grid| (bits(&grid), grid));
         grids.min_by(|(a, _), (b, _)| a.total_cmp(b)).map_or(Coordinates::Float32, |(_, grid)| grid)
     }
 
@@ -97,6 +102,7 @@ impl Coordinates {
             Coordinates::Millimetre => (1, 0),
             Coordinates::Lattice { step_nm } => (2, step_nm as u32),
             Coordinates::Digits(digits) => (3, digits.into()),
+            Coordinates::Half => (4, 0),
         }
     }
 
@@ -107,7 +113,21 @@ impl Coordinates {
             (1, 0) => Some(Coordinates::Millimetre),
             (2, 1..=LARGEST_STEP) => Some(Coordinates::Lattice { step_nm: step.into() }),
             (3, 1..=9) => Some(Coordinates::Digits(step as u8)),
+            (4, 0) => Some(Coordinates::Half),
             _ => None,
+        }
+    }
+
+    /// About the binary logarithm of the distance, in metres, from a value to the next one on the grid.
+    pub fn step_exponent(self, metres: f64) -> i32 {
+        let exponent = |value: f64| (value.to_bits() >> 52 & 0x7ff) as i32 - 1023;
+        match self {
+            Coordinates::Millimetre => -10,
+            Coordinates::Lattice { step_nm } => exponent(lattice_step(step_nm)),
+            Coordinates::Float32 => exponent(metres).clamp(-126, 127) - 23,
+            // A digit has 10 / 3 bits.
+            Coordinates::Digits(digits) => exponent(metres).clamp(-126, 127) - i32::from(digits) * 10 / 3,
+            Coordinates::Half => exponent(metres).clamp(-126, 127) - 10,
         }
     }
 
@@ -131,6 +151,7 @@ impl Coordinates {
                 round_ties_even((metres / lattice_step(step_nm)).clamp(-1e12, 1e12)) as i64
             }
             Coordinates::Digits(digits) => decimal_unit(metres, digits),
+            Coordinates::Half => half_unit(metres as f32),
         }
     }
 
@@ -143,6 +164,7 @@ impl Coordinates {
             Coordinates::Millimetre => (unit as f64 / 1000.0) as f32,
             Coordinates::Lattice { step_nm } => (unit as f64 * lattice_step(step_nm)) as f32,
             Coordinates::Digits(digits) => decimal_value(unit, digits),
+            Coordinates::Half => half_value(unit),
         }
     }
 
@@ -213,13 +235,31 @@ impl Coordinates {
                 on_grid.then_some(unit)
             }
             Coordinates::Float32 => value.is_finite().then(|| ordered(value)),
-            Coordinates::Lattice { .. } | Coordinates::Digits(_) => {
+            Coordinates::Lattice { .. } | Coordinates::Digits(_) | Coordinates::Half => {
                 let unit = self.unit_of(f64::from(value));
                 let near = self.value(unit, f64::from(value));
                 (value.is_finite() && near.to_bits() == value.to_bits()).then_some(unit)
             }
         }
     }
+}
+
+/// Number of bits of a float32's significand that half precision lacks.
+const HALF: u32 = 13;
+
+/// The signed index of the number nearest to a value among the float32 values whose last 13 bits are 0. 0 stands for 0
+/// and for values nearer to it than to the least such number.
+fn half_unit(value: f32) -> i64 {
+    let magnitude = value.to_bits() & (u32::MAX >> 1);
+    let unit = i64::from((magnitude + (1 << (HALF - 1))) >> HALF);
+    if value.is_sign_negative() { -unit } else { unit }
+}
+
+/// The inverse of [`half_unit`], for any integer except 0.
+fn half_value(unit: i64) -> f32 {
+    let bits = unit.unsigned_abs().min(u64::from(f32::MAX.to_bits() >> HALF)) as u32;
+    let value = f32::from_bits(bits << HALF);
+    if unit < 0 { -value } else { value }
 }
 
 /// The largest step of a lattice in a stream, in nanometres.
@@ -309,6 +349,25 @@ mod tests {
         assert_eq!(ordered(0.0) - ordered(-0.0), 1);
         assert_eq!(ordered(1.0f32.next_up()) - ordered(1.0), 1);
         assert_eq!(Coordinates::Float32.unit_in_file(f32::NAN), None);
+    }
+
+    #[test]
+    fn half_precision_has_eleven_bits() {
+        let half = Coordinates::Half;
+        for value in [1.0f32, -1.5, 2047.0, -2046.0, 4094.0, 2f32.powi(-24), 65504.0, 3e38] {
+            let value = half.nearest(value.into());
+            let unit = half.unit_in_file(value).unwrap();
+            assert_eq!(half.value(unit, 0.0), value);
+            assert!(value.to_bits().trailing_zeros() >= 13, "{value}");
+        }
+        for value in [2049.0f32, -4095.0, 0.1, f32::INFINITY, f32::NAN] {
+            assert_eq!(half.unit_in_file(value), None, "{value}");
+        }
+        assert_eq!(half.nearest(2048.9), 2048.0);
+        assert_eq!([0.0f32, -0.0].map(|zero| half.unit_in_file(zero)), [Some(0); 2]);
+        let values =
+            (1..200).map(|i| [0.3711, -0.1373, 0.0117].map(|step| half.nearest(step * f64::from(i))));
+        assert_eq!(Coordinates::of_most(&values.collect::<Vec<_>>()), half);
     }
 
     #[test]

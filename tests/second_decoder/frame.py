@@ -18,6 +18,7 @@ from entropy import AdaptiveBit, Bits, IntegerModel, adaptive, integers, unzigza
 from errors import NotHere, Refused
 from layout import F32, PLAIN, TYPES, Field, Layout
 from models import TAU, f32
+from points import Points
 from ranges import Deep, Mixed
 from residual import BACK_ENDS
 from scanner import LATTICE, MILLIMETRE, Grid, bits_of_float, float_of_bits, from_ordered, ordered
@@ -101,7 +102,7 @@ class Returns:
         bits = Bits(payload)
         scale = sections.Scale(bits.plain)
         if not scale.per_unit:
-            return self.rough_intensities(bits, image, len(strays))
+            return self.rough_intensities(bits, image, strays)
         if parameters.coder == DEEP:
             model = self.model(sections.DeepIntensity, self.off_grid)
         else:
@@ -110,16 +111,25 @@ class Returns:
 
     def rough_intensities(self, bits, image, strays):
         """8.5, without a grid."""
+        are_shared = bits.plain(1)
         cells = [(row, column) for row, own in enumerate(image) for column, filled in enumerate(own) if filled]
-        rows = [row + 1 for row, _ in cells] + [0] * strays
-        columns = [column + 1 for _, column in cells] + [0] * strays
+        coded = [n for n, (_, _, is_repeat) in enumerate(strays) if not (are_shared and is_repeat)]
+        rows = [row + 1 for row, _ in cells] + [0 if cells else strays[n][0] for n in coded]
+        columns = [column + 1 for _, column in cells] + [0] * len(coded)
         model = self.model(Channels)
         (data,) = model.code(bits, [Field("", F32, 1)], len(rows), Beside(rows, columns))
         found = struct.unpack(f"<{len(rows)}I", data)
         values = [[0] * len(own) for own in image]
         for (row, column), value in zip(cells, found):
             values[row][column] = value
-        return values, list(found[len(cells) :]), [[1] * len(own) for own in image]
+        of_strays = [0] * len(strays)
+        for n, value in zip(coded, found[len(cells) :]):
+            of_strays[n] = value
+        if are_shared:
+            for n, (_, before, is_repeat) in enumerate(strays):
+                if is_repeat:
+                    of_strays[n] = of_strays[before]
+        return values, of_strays, [[1] * len(own) for own in image]
 
     def ranges(self, payload, parameters, image, levels, seen):
         coder = parameters.coder
@@ -144,7 +154,7 @@ class Decoder:
         self.bytes = sections.ByteModel()
         self.layout = None
         self.columns = scanner.new_columns() if scanner else None
-        self.points = sections.Points()
+        self.points = Points()
         self.points_are_compressed = AdaptiveBit()
         self.returns = [Returns(), Returns()]
         self.correction = sections.Correction()
@@ -247,18 +257,15 @@ class Decoder:
             if in_image > inside or is_full and in_image < inside:
                 raise Refused("the range image does not hold as many points as it should")
 
-        of_strays = []
+        of_strays, around = [], [(0, index - 1 if index else None, False) for index in range(strays)]
         if strays and layout.position:
             grid = None
             if parameters.max_error_um:
                 grid = Grid(LATTICE, float(parameters.max_error_um * 1140) * 1e-9)
-            of_strays = self.strays(strays, grid)
-
-        above = [None] * strays
-        if layout.intensity and parameters.intensity and layout.position:
-            above = sections.places_of_strays(of_strays)
-        above += [None] * len(blanks)
-        found = self.values(parameters, layout, image, columns, above, seen)
+            of_strays, around = self.strays(strays, grid, around)
+        stray_rows = [row for row, _, _ in around]
+        around += [(0, index - 1 if index else None, False) for index in range(strays, strays + len(blanks))]
+        found = self.values(parameters, layout, image, columns, around, seen)
         values, values_of_strays, levels, ranges = found
         for (row, column), value in zip(blanks, values_of_strays[strays:]):
             values[row][column] = value
@@ -303,6 +310,8 @@ class Decoder:
                 beside.ticks = in_order([tick for _, _, tick, _ in elements], [0] * strays)
                 beside.steps = in_order([steps for _, _, _, steps in elements], [0] * strays)
                 beside.range_step_m, beside.tick_degrees = scanner.range_step, scanner.tick_degrees
+        elif any(stray_rows):
+            beside.rows, beside.columns = stray_rows, [0] * strays
         if layout.position:
             beside.positions = in_order(positions, of_strays)
         if layout.intensity:
@@ -317,13 +326,13 @@ class Decoder:
             beside.intensities = in_order(of_image, values_of_strays)
         return beside
 
-    def strays(self, n, grid):
-        """8.4."""
+    def strays(self, n, grid, around):
+        """8.4: positions, and what is around each, which is `around` if they are compressed."""
         bits = self.bits(kinds.POINTS)
         if not self.points_are_compressed.code(bits):
             return self.points.code(bits, n, grid)
         values = decompressed(bits, F32, 12, n)
-        return list(struct.iter_unpack("<3I", values))
+        return list(struct.iter_unpack("<3I", values)), around
 
     def halves(self, parameters):
         """4.4: the rows that are coded apart."""

@@ -9,7 +9,7 @@ from errors import Refused
 from models import TAU, clamp, f32
 from trigonometry import cos, sin, sin_cos_f32
 
-MILLIMETRE, FLOAT32, LATTICE, DIGITS = range(4)
+MILLIMETRE, FLOAT32, LATTICE, DIGITS, HALF = range(5)
 SINGLE_PRECISION = 2
 
 
@@ -24,6 +24,11 @@ def float_of_bits(bits):
 
 def bits_of_float(v):
     return struct.unpack("<I", struct.pack("<f", v))[0]
+
+
+def exponent(v):
+    """The exponent bits of a float64, less 1023."""
+    return (struct.unpack("<Q", struct.pack("<d", v))[0] >> 52 & 0x7FF) - 1023
 
 
 def ordered(v):
@@ -62,8 +67,10 @@ class Grid:
     @classmethod
     def of_numbers(cls, kind, step):
         """The grid with these numbers, or None if they do not fit together."""
-        if (kind < 2 and step == 0) or (kind == 2 and 1 <= step <= 10**9) or (kind == 3 and 1 <= step <= 9):
-            return cls((FLOAT32, MILLIMETRE, LATTICE, DIGITS)[kind], (None, None, step * 1e-9, step)[kind])
+        is_known = kind in (0, 1, 4) and step == 0 or kind == 2 and 1 <= step <= 10**9 or kind == 3 and 1 <= step <= 9
+        if is_known:
+            kinds = FLOAT32, MILLIMETRE, LATTICE, DIGITS, HALF
+            return cls(kinds[kind], (None, None, step * 1e-9, step, None)[kind])
         return None
 
     def unit_of(self, metres):
@@ -73,6 +80,10 @@ class Grid:
             return ordered(bits_of_float(f32(metres)))
         if self.kind == DIGITS:
             return self.decimal_unit(metres)
+        if self.kind == HALF:
+            bits = bits_of_float(f32(metres))
+            unit = ((bits & 0x7FFFFFFF) + (1 << 12)) >> 13
+            return -unit if bits >> 31 else unit
         scaled = metres / self.step if self.kind == LATTICE else metres * 1000
         return round(clamp(scaled, -1e12, 1e12))
 
@@ -87,6 +98,13 @@ class Grid:
         unit = exponent * 9 * least + number - least + 1
         return -unit if metres < 0 else unit
 
+    def step_exponent(self, v):
+        if self.kind == MILLIMETRE:
+            return -10
+        if self.kind == LATTICE:
+            return exponent(self.step)
+        return clamp(exponent(v), -126, 127) - {FLOAT32: 23, HALF: 10}.get(self.kind, (self.step or 0) * 10 // 3)
+
     def value(self, unit, formula):
         if self.kind == FLOAT32:
             return from_ordered(unit)
@@ -96,6 +114,8 @@ class Grid:
             return bits_of_float(f32(formula)) & 0x80000000
         if self.kind == LATTICE:
             return bits_of_float(f32(float(unit) * self.step))
+        if self.kind == HALF:
+            return min(abs(unit), 0x7F7FFFFF >> 13) << 13 | (0x80000000 if unit < 0 else 0)
         if self.kind == DIGITS:
             least = 10 ** (self.step - 1)
             place, number = divmod(abs(unit) - 1, 9 * least)

@@ -1,7 +1,7 @@
 """Section 8 of FORMAT.md, but for ranges and tokens: what the arithmetic coder codes."""
 
 from array import array
-from math import isfinite, sqrt
+from math import isfinite
 
 from entropy import M64, adaptive, integers, unzigzag, AdaptiveBit, IntegerModel, wrap
 from errors import Refused
@@ -28,7 +28,7 @@ from models import (
     squash,
 )
 from layout import F32
-from scanner import FLOAT32, MILLIMETRE, Grid, bits_of_float, float_of_bits, from_ordered, ordered
+from scanner import MILLIMETRE, bits_of_float, float_of_bits, from_ordered, ordered
 from values import Scale as RoughScale
 
 
@@ -141,154 +141,6 @@ class Occupancy:
         return image
 
 
-# 8.4 Points
-
-
-def direction(x, y):
-    s = abs(x) + abs(y)
-    part = 0.0 if s == 0 else y / s
-    return 2 - part if x < 0 else 4 + part if y < 0 else part
-
-
-class Turns:
-    def __init__(self):
-        self.above = []
-        self.current = []
-        self.cursor = 0
-
-    def nearest_above(self, d):
-        above = self.above
-        if not above:
-            return None
-        cursor = self.cursor
-        while cursor + 1 < len(above) and abs(above[cursor + 1][1] - d) <= abs(above[cursor][1] - d):
-            cursor += 1
-        self.cursor = cursor
-        return above[cursor][0]
-
-    def push(self, index, d):
-        if self.current and abs(d - self.current[-1][1]) > 3:
-            self.above = self.current
-            self.current = []
-            self.cursor = 0
-        self.current.append((index, d))
-
-
-def finite(point):
-    """Of a position as bits of float32s."""
-    return [v if isfinite(v) else 0.0 for v in map(float_of_bits, point)]
-
-
-class CoordinateModel:
-    def __init__(self):
-        self.errors = floats([16.0] * 4)
-        self.raw = AdaptiveBit()
-        self.residual = integers(36)
-
-    def code(self, bits, grid, predictions):
-        if self.raw.code(bits):
-            return bits.plain(32)
-        errors = self.errors
-        best = errors.index(min(errors))
-        units = [grid.unit_of(p) for p in predictions]
-        residual = unzigzag(self.residual[min(int(errors[best]), 35)].code(bits))
-        unit = wrap(units[best] + residual, 64)
-        for k in range(4):
-            distance = abs(unit - units[k]) & M64
-            a = f32(f32(0.8) * errors[k])
-            errors[k] = a + f32(f32(0.2) * distance.bit_length())
-        return grid.value(unit, predictions[best])
-
-
-class Points:
-    def __init__(self):
-        self.is_repeat = [[AdaptiveBit(), AdaptiveBit()] for _ in range(4)]
-        self.is_at = [AdaptiveBit() for _ in range(4)]
-        self.is_held = [AdaptiveBit() for _ in range(4)]
-        self.distances = IntegerModel()
-        self.coordinates = [CoordinateModel() for _ in range(3)]
-        self.cone = LeastSquares(4, 0.98)
-
-    def code(self, bits, n, grid):
-        if grid is None:
-            kind = bits.plain(2)
-            grid = Grid.of_numbers(kind, bits.plain(30) if kind >= 2 else 0) or Grid(FLOAT32)
-        points = []
-        done = []
-        turns = Turns()
-
-        def distance(p):
-            return sqrt(p[0] * p[0] + p[1] * p[1])
-
-        repeats = []
-        kind = lag = 0
-        zeros = held = (0, 0, 0)
-
-        def source(index, lag):
-            return points[index - lag] if 1 <= lag <= index else zeros
-
-        for index in range(n):
-            ends = 1 <= lag <= index and repeats[index - lag]
-            repeats.append(self.is_repeat[kind][int(ends)].code(bits))
-            if repeats[-1]:
-                if self.is_at[kind].code(bits):
-                    kind, lag = 3, self.distances.code(bits)
-                    point = held = source(index, lag)
-                elif self.is_held[kind].code(bits):
-                    kind, point = 2, held
-                else:
-                    kind, point = 1, source(index, lag)
-                points.append(point)
-                done.append(finite(point))
-                turns.push(index, direction(*done[-1][:2]))
-                continue
-            kind = 0
-            west = done[-1] if done else [0.0] * 3
-            west2 = done[-2] if index > 1 else west
-            e = [2 * west[k] - west2[k] for k in (0, 1)]
-            above = turns.nearest_above(direction(*e))
-            north = west if above is None else done[above]
-            north_west = west2 if above is None else done[max(above - 1, 0)]
-            major, minor = (0, 1) if abs(west[0]) >= abs(west[1]) else (1, 0)
-            point = [0, 0, 0]
-            w, ww, no, nw = (p[major] for p in (west, west2, north, north_west))
-            point[major] = self.coordinates[0].code(bits, grid, (w, 2 * w - ww, w + no - nw, no))
-
-            along = finite(point)[major]
-
-            def slope(p):
-                return 0.0 if p[major] == 0 else p[minor] / p[major]
-
-            w, ww, no, nw = map(slope, (west, west2, north, north_west))
-            slopes = (w, 2 * w - ww, w + no - nw, no)
-            point[minor] = self.coordinates[1].code(bits, grid, [along * s for s in slopes])
-
-            own = distance(finite(point))
-
-            def at(p):
-                d = distance(p)
-                return p[2] if d == 0 else p[2] * own / d
-
-            farther = f32(clamp(own - distance(west), -1000, 1000))
-            features = floats((farther, 0, 0, 0))
-            point[2] = self.coordinates[2].code(
-                bits,
-                grid,
-                (
-                    west[2] + self.cone.predict(features),
-                    at(west),
-                    at(north) + at(west) - at(north_west),
-                    2 * west[2] - west2[2],
-                ),
-            )
-            done.append(finite(point))
-            rise = f32(clamp(done[-1][2] - west[2], -1000, 1000))
-            self.cone.learn(features, rise, 1.0)
-            turns.push(index, direction(*done[-1][:2]))
-            points.append(tuple(point))
-        return points
-
-
 # 8.5 Intensity
 
 
@@ -319,18 +171,6 @@ class Scale:
 
     def of_level(self, level):
         return min(level >> max(self.bits - 7, 0), 127) + 1
-
-
-def places_of_strays(positions):
-    """For each stray the number of the stray above it, or none."""
-    turns = Turns()
-    found = []
-    for index, position in enumerate(positions):
-        p = finite(position)
-        d = direction(p[0], p[1])
-        turns.push(index, d)
-        found.append(turns.nearest_above(d))
-    return found
 
 
 def first_of(*values):
@@ -388,23 +228,28 @@ def values_of(image, strays, reference, begin, code):
         levels.append(own)
     of_strays = []
     stray_levels = []
-    begin(1, 1, len(strays))
-    near.row = near.column = 0
-    near.s = near.m = near.sl = near.sr = near.nnw = near.nn = near.nne = 0
-    left = [0, 0, 0, 0]
-    for index, above in enumerate(strays):
-        near.left = left
-        around = [0] * 5
-        if above is not None:
-            for k in range(5):
-                other = above - 2 + k
-                if 0 <= other < index:
-                    around[k] = stray_levels[other]
-        near.nww, near.nw, near.n, near.ne, near.nee = around
+    begin(max((row for row, _, _ in strays), default=0) + 1, 1, len(strays))
+    near.column = near.s = near.m = near.sl = near.sr = near.nee = near.nne = 0
+
+    def before(index):
+        return None if index is None or index < 0 else strays[index][1]
+
+    def level_at(index):
+        return stray_levels[index] if index is not None and 0 <= index < len(stray_levels) else 0
+
+    for index, (near.row, west, _) in enumerate(strays):
+        at = west
+        near.left = []
+        for _ in range(4):
+            near.left.append(level_at(at))
+            at = before(at)
+        nw = before(index - 1)
+        near.nww, near.nw, near.n = level_at(before(nw)), level_at(nw), level_at(index - 1)
+        near.ne = 0 if west is None else level_at(west + 1)
+        near.nn, near.nnw = level_at(index - 2), level_at(before(index - 2))
         value, level = code(near, index == 0)
         of_strays.append(value)
         stray_levels.append(level)
-        left = [level] + left[:3]
     return values, of_strays, [row[2:-2] for row in levels[2:]]
 
 

@@ -67,11 +67,11 @@ class Intensity:
                     north[c] = of_own[c] = west
             values.append(own)
             levels.append(of_own)
-        of_strays = []
-        west = 0
-        for _ in strays:
-            v, west = value(west, 0)
+        of_strays, stray_levels = [], []
+        for _, before, _ in strays:
+            v, level = value(0 if before is None else stray_levels[before], stray_levels[-1] if stray_levels else 0)
             of_strays.append(v)
+            stray_levels.append(level)
         tokens.finish()
         return values, of_strays, levels
 

@@ -16,8 +16,8 @@ use crate::ground::error::Result;
 use crate::ground::grid::Grid;
 use crate::models::{
     ChannelsModel, INTENSITY_CONTEXTS, IntensityModel, IntensityNeighbours, IntensityReference,
-    IntensityScale, IntensityTokens, PACKED_INTENSITY_CONTEXTS, RecordContext, code_packed_intensities,
-    neighbours_above,
+    IntensityScale, IntensityTokens, PACKED_INTENSITY_CONTEXTS, PointTrail, RecordContext,
+    code_packed_intensities,
 };
 use crate::scan::{Channel, Field, Scalar};
 
@@ -97,20 +97,51 @@ impl IntensityModels {
     ) -> Result<Grid<u16>> {
         let returns = part.cells.len();
         let width = part.occupancy.columns() as u32;
-        let strays = || std::iter::repeat_n(0, part.outside);
-        let context = RecordContext {
-            rows: part.cells.iter().map(|cell| cell / width + 1).chain(strays()).collect(),
-            columns: part.cells.iter().map(|cell| cell % width + 1).chain(strays()).collect(),
-            ..RecordContext::default()
-        };
         let mut values = if C::ENCODES { known.of_cells.at(part.cells) } else { vec![0.0; returns] };
         values.append(&mut known.outside);
         values.resize(returns + part.outside, 0.0);
-        let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        // Strays that repeat another one mostly have its intensity, too.
+        let sources: Vec<Option<usize>> = (0..part.outside)
+            .map(|index| part.frame.stray_trails.get(index).and_then(PointTrail::source))
+            .collect();
+        let strays = || (returns..).zip(&sources);
+        let are_shared = C::ENCODES
+            && strays().all(|(index, source)| {
+                source.is_none_or(|source| values[returns + source].to_bits() == values[index].to_bits())
+            });
+        let are_shared = coder.code_plain(are_shared.into(), 1) == 1;
+        let is_coded = |source: &Option<usize>| source.is_none() || !are_shared;
+        let coded: Vec<usize> = (0..returns)
+            .chain(strays().filter(|(_, source)| is_coded(source)).map(|(index, _)| index))
+            .collect();
+        // Rows of an image and trails have nothing to do with each other.
+        let row = |index: usize| match part.cells.get(index) {
+            Some(cell) => cell / width + 1,
+            None if returns > 0 => 0,
+            None => part.frame.stray_trails.get(index).map_or(0, |trail| trail.row),
+        };
+        let context = RecordContext {
+            rows: coded.iter().map(|&index| row(index)).collect(),
+            columns: coded
+                .iter()
+                .map(|&index| part.cells.get(index).map_or(0, |cell| cell % width + 1))
+                .collect(),
+            ..RecordContext::default()
+        };
+        let bytes = coded.iter().flat_map(|&index| values[index].to_le_bytes()).collect();
         let mut channels = [Channel { field: Field::new("intensity", Scalar::F32), bytes }];
         self.rough.code(coder, &mut channels, &context, level)?;
         let [Channel { bytes, .. }] = channels;
-        let mut values: Vec<f32> = bytes.chunks_exact(4).map(LittleEndian::read_f32).collect();
+        for (&index, value) in coded.iter().zip(bytes.chunks_exact(4).map(LittleEndian::read_f32)) {
+            values[index] = value;
+        }
+        if are_shared {
+            for (index, source) in strays() {
+                if let Some(source) = source {
+                    values[index] = values[returns + source];
+                }
+            }
+        }
         known.outside = values.split_off(returns);
         known.of_cells.fill(part.cells, &values);
         let mut levels = Grid::new(part.occupancy.rows(), part.occupancy.columns());
@@ -158,26 +189,51 @@ fn code_strays<C: BitCoder>(
     values: &mut Intensities,
 ) {
     values.outside.resize(part.outside, 0.0);
-    let north = neighbours_above(&part.frame.stray_positions);
+    let trails = StrayTrails(&part.frame.stray_trails);
     let mut levels: Vec<u16> = Vec::with_capacity(part.outside);
-    model.start_frame(scale, (1, 1), part.outside);
+    model.start_frame(scale, (trails.rows(), 1), part.outside);
     for index in 0..part.outside {
         if coder.is_exhausted() {
             return;
         }
         let at = |index: Option<usize>| index.and_then(|i| levels.get(i)).copied().unwrap_or(0);
-        let above = |offset: isize| {
-            at(north.get(index).copied().flatten().and_then(|i| i.checked_add_signed(offset)))
-        };
+        let before = |index: Option<usize>| index.and_then(|index| trails.before(index));
+        let (own, above, above2) = (Some(index), index.checked_sub(1), index.checked_sub(2));
+        let west = before(own);
+        let left = [west, before(west), before(before(west)), before(before(before(west)))];
         let near = IntensityNeighbours {
-            left: [1, 2, 3, 4].map(|distance| at(index.checked_sub(distance))),
-            above: [-2, -1, 0, 1, 2].map(above),
-            above2: [0; 3],
+            left: left.map(at),
+            above: [before(before(above)), before(above), above, west.map(|west| west + 1), None].map(at),
+            above2: [before(above2), above2, None].map(at),
             back: None,
         };
         let value = &mut values.outside[index];
-        *value = model.code(coder, scale, &near, (0, 0), *value);
+        *value = model.code(coder, scale, &near, (trails.row(index), 0), *value);
         levels.push(scale.context_level(*value));
+    }
+}
+
+/// The trails of the strays, and of the blanks behind them, which are in none.
+struct StrayTrails<'a>(&'a [PointTrail]);
+
+impl StrayTrails<'_> {
+    /// The stray before this one in its trail, or the one that it repeats; the preceding one where nothing is known of
+    /// trails.
+    fn before(&self, index: usize) -> Option<usize> {
+        match self.0.get(index) {
+            Some(trail) => trail.before,
+            None => index.checked_sub(1),
+        }
+    }
+
+    /// The number of the trail, counted from 1; 0 for none.
+    fn row(&self, index: usize) -> usize {
+        self.0.get(index).map_or(0, |trail| trail.row as usize)
+    }
+
+    /// The number of rows.
+    fn rows(&self) -> usize {
+        self.0.iter().map(|trail| trail.row as usize + 1).max().unwrap_or(1)
     }
 }
 
@@ -223,12 +279,15 @@ fn code_tokens<C: TokenCoder>(
         }
     }
     values.outside.resize(part.outside, 0.0);
-    let mut west = 0;
-    for value in &mut values.outside {
+    let trails = StrayTrails(&part.frame.stray_trails);
+    let mut levels: Vec<u16> = Vec::with_capacity(part.outside);
+    for (index, value) in values.outside.iter_mut().enumerate() {
         if coder.is_exhausted() {
             return;
         }
-        west = model.code(coder, &scale, (west, 0), value);
+        let at = |index: Option<usize>| index.and_then(|i| levels.get(i)).copied().unwrap_or(0);
+        let near = (at(trails.before(index)), at(index.checked_sub(1)));
+        levels.push(model.code(coder, &scale, near, value));
     }
 }
 

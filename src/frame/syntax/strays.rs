@@ -4,13 +4,13 @@ use byteorder::{ByteOrder, LittleEndian};
 
 use crate::backend::{Level, Trial};
 use crate::container::SectionKind;
-use crate::entropy::{AdaptiveBit, ArithmeticEncoder, BitCoder};
+use crate::entropy::{AdaptiveBit, BitCoder};
 use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
-use crate::models::PointModel;
 use crate::models::channels::{Compressed, code_compressed};
-use crate::scan::Scalar;
+use crate::models::{Analysis, PointModel, PointTrail};
+use crate::scan::{Channel, Scalar};
 use crate::scanner::Coordinates;
 
 /// The models of strays.
@@ -32,31 +32,45 @@ impl StrayModels {
         frame.stray_positions.resize(if has_points { frame.strays } else { 0 }, [0.0; 3]);
         let (lattice, level) = (frame.parameters.positions.lattice(), sections.effort().level);
         sections.section(SectionKind::Points, !frame.stray_positions.is_empty(), |coder| {
-            self.code_strays(coder, (lattice, level), frame.records, &mut frame.stray_positions)
+            // The records of a frame without an image are its strays.
+            let channels = if frame.strays == frame.records { frame.channels.as_slice() } else { &[] };
+            let positions = &mut frame.stray_positions;
+            frame.stray_trails =
+                self.code_strays(coder, (lattice, level), frame.records, positions, channels)?;
+            Ok(())
         })
     }
 
     /// Points outside any range image: by the model of points, or, if most points are outside, by a
-    /// general-purpose compressor where that is shorter.
+    /// general-purpose compressor where that is shorter; nothing is known of their trails then.
     fn code_strays<C: BitCoder>(
         &mut self,
         coder: &mut C,
         (lattice, level): (Option<Coordinates>, Level),
         records: usize,
         positions: &mut [[f32; 3]],
-    ) -> Result<()> {
+        channels: &[Channel],
+    ) -> Result<Vec<PointTrail>> {
         const WIDTH: usize = 12;
         let mut compressed = None;
-        if C::ENCODES && lattice.is_none() && 2 * positions.len() > records && self.trial != Trial::Lost {
-            let own = if self.trial == Trial::Won { usize::MAX } else { self.size_as_points(positions) };
-            let bytes: Vec<u8> = positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
-            compressed = Compressed::shortest(&bytes, Scalar::F32, WIDTH, level, own);
-            self.trial = compressed.as_ref().map_or(Trial::Open, |found| Trial::of(found.size(), own));
-            compressed.take_if(|found| found.size() >= own);
+        let mut analysis = Analysis::default();
+        if C::ENCODES {
+            let may_compress = lattice.is_none() && 2 * positions.len() > records;
+            let won = self.trial == Trial::Won;
+            if !(may_compress && won) {
+                analysis = self.points.analyse(lattice, positions, channels);
+            }
+            if may_compress && self.trial != Trial::Lost {
+                let own = if won { usize::MAX } else { self.points.size_of(positions, &analysis) };
+                let bytes: Vec<u8> =
+                    positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
+                compressed = Compressed::shortest(&bytes, Scalar::F32, WIDTH, level, own);
+                self.trial = compressed.as_ref().map_or(Trial::Open, |found| Trial::of(found.size(), own));
+                compressed.take_if(|found| found.size() >= own);
+            }
         }
         if !self.are_compressed.code(coder, compressed.is_some()) {
-            self.points.code(coder, lattice, positions);
-            return Ok(());
+            return Ok(self.points.code(coder, lattice, positions, &analysis));
         }
         let mut bytes = vec![0; WIDTH * positions.len()];
         code_compressed(coder, compressed, Scalar::F32, WIDTH, &mut bytes)?;
@@ -65,13 +79,6 @@ impl StrayModels {
                 *position = std::array::from_fn(|axis| LittleEndian::read_f32(&values[4 * axis..]));
             }
         }
-        Ok(())
-    }
-
-    /// Size of the positions coded by the model of points, in bytes.
-    fn size_as_points(&self, positions: &[[f32; 3]]) -> usize {
-        let mut encoder = ArithmeticEncoder::default();
-        self.points.clone().code(&mut encoder, None, &mut positions.to_vec());
-        encoder.finish().len()
+        Ok(Vec::new())
     }
 }

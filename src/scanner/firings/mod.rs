@@ -515,6 +515,7 @@ impl fmt::Display for Firings {
             Coordinates::Lattice { step_nm: 10_000_000 } => write!(f, ", rounded to centimetres")?,
             Coordinates::Lattice { step_nm } => write!(f, ", rounded to {} micrometres", step_nm / 1000)?,
             Coordinates::Digits(digits) => write!(f, ", rounded to {digits} digits")?,
+            Coordinates::Half => write!(f, ", rounded to half precision")?,
         }
         if recipe.starts_in_beam() {
             let along = f64::from(origin.along_um) / 1e3;

@@ -1,0 +1,202 @@
+//! For an encoder: which point is the one before each point in its trail. The decoder is told.
+//!
+//! Files of most scanners hold firing after firing, so the point before is about as many points back as there are
+//! lasers, a few more or less where lasers see nothing. The likeliest sequence of such lags is found as one path
+//! through all points (Viterbi's algorithm).
+
+use std::collections::{HashMap, HashSet};
+
+use crate::ground::angle::atan2;
+use crate::scan::Channel;
+
+/// The longest lag.
+const LONGEST: usize = 260;
+/// The cost of a point that has none before it, of a lag that has nothing to do with the last one, and of one that
+/// differs by 1, 2 or 3.
+const NONE: f32 = 24.0;
+const JUMP: f32 = 7.0;
+const CHANGES: [f32; 3] = [2.2, 2.9, 3.6];
+/// The largest cost of the directions of two points of a trail.
+const MOST_APART: f32 = 8.0;
+
+/// The directions of points, in degrees.
+struct Directions {
+    azimuths: Vec<f32>,
+    elevations: Vec<f32>,
+}
+
+impl Directions {
+    fn of(positions: impl Iterator<Item = [f32; 3]>) -> Self {
+        let degrees = |[x, y, z]: [f64; 3]| {
+            let elevation = atan2(z, (x * x + y * y).sqrt());
+            (atan2(y, x).to_degrees() as f32, elevation.to_degrees() as f32)
+        };
+        let (azimuths, elevations) = positions.map(|position| degrees(super::finite(position))).unzip();
+        Directions { azimuths, elevations }
+    }
+
+    fn len(&self) -> usize {
+        self.azimuths.len()
+    }
+
+    /// How unlikely it is that a laser turns from the direction of one point to that of another, in bits.
+    fn cost(&self, before: usize, point: usize) -> f32 {
+        let of = |point: usize| (self.azimuths[point], self.elevations[point]);
+        cost(of(before), of(point))
+    }
+}
+
+/// That cost, of an azimuth and an elevation each.
+#[inline(always)]
+fn cost(before: (f32, f32), (azimuth, elevation): (f32, f32)) -> f32 {
+    let turned = (azimuth - before.0).abs();
+    let turned = turned.min((360.0 - turned).abs()) * 2.5;
+    let raised = (elevation - before.1) * 25.0;
+    2.0 * rough_log2(1.0 + raised * raised + turned * turned)
+}
+
+/// The binary logarithm of a positive number, to within a tenth.
+fn rough_log2(value: f32) -> f32 {
+    let bits = value.to_bits();
+    (bits >> 23) as f32 - 127.0 + (bits & 0x7f_ffff) as f32 / 8_388_608.0
+}
+
+/// Ways to find, for each of the points `own`, the number, among these, of the point before it in its trail: by their
+/// order, and by each channel that may tell which laser measured them.
+pub fn ways(positions: &[[f32; 3]], channels: &[Channel], own: &[usize]) -> Vec<Vec<Option<usize>>> {
+    let directions = Directions::of(own.iter().map(|&index| positions[index]));
+    let lasers = channels.iter().filter_map(|channel| lasers(channel, positions.len(), own));
+    let by_laser = lasers.map(|lasers| {
+        let mut last = HashMap::new();
+        lasers.into_iter().enumerate().map(|(point, laser)| last.insert(laser, point)).collect::<Vec<_>>()
+    });
+    [by_order(&directions)].into_iter().chain(by_laser).collect()
+}
+
+/// The values of a channel for some of the points, if there are as few of them as a scanner has lasers.
+fn lasers<'a>(channel: &'a Channel, points: usize, own: &[usize]) -> Option<Vec<&'a [u8]>> {
+    const MOST: usize = 256;
+    let width = channel.field.width();
+    if width == 0 || channel.bytes.len() != points * width {
+        return None;
+    }
+    let mut values = HashSet::new();
+    let value = |&index: &usize| {
+        let value = &channel.bytes[index * width..][..width];
+        values.insert(value);
+        (values.len() <= MOST).then_some(value)
+    };
+    let values: Option<Vec<&[u8]>> = own.iter().map(value).collect();
+    values.filter(|values| values.iter().any(|value| *value != values[0]))
+}
+
+/// For each point, the one before it in its trail, as their order tells.
+fn by_order(directions: &Directions) -> Vec<Option<usize>> {
+    /// Points before a trail's end that are looked at where the likeliest lag leads nowhere.
+    const REACH: usize = 3 * LONGEST;
+    let mut goes_on = vec![false; directions.len()];
+    let mut found = Vec::with_capacity(directions.len());
+    for (point, lag) in likeliest_lags(directions).into_iter().enumerate() {
+        let cost = |before: usize| directions.cost(before, point);
+        let fits = |before: &usize| !goes_on[*before] && cost(*before) < MOST_APART;
+        let before = point.checked_sub(lag).filter(|_| lag > 0).filter(fits).or_else(|| {
+            let ends = (point.saturating_sub(REACH)..point).filter(fits);
+            ends.min_by(|&a, &b| cost(a).total_cmp(&cost(b)))
+        });
+        if let Some(before) = before {
+            goes_on[before] = true;
+        }
+        found.push(before);
+    }
+    found
+}
+
+/// The lag of each point, 0 where it has no point before it.
+fn likeliest_lags(directions: &Directions) -> Vec<usize> {
+    /// Points whose lags are decided together.
+    const BLOCK: usize = 4096;
+    let mut costs = Costs::default();
+    let mut lags = Vec::with_capacity(directions.len());
+    for start in (0..directions.len()).step_by(BLOCK) {
+        let block = start..directions.len().min(start + BLOCK);
+        let steps: Vec<_> = block.map(|point| costs.advance(directions, point)).collect();
+        let mut lag = costs.least().0;
+        lags.resize(start + steps.len(), 0);
+        for (own, from) in lags[start..].iter_mut().zip(steps).rev() {
+            *own = lag;
+            lag = match from.changes[lag] {
+                JUMPED => from.best,
+                change => lag.wrapping_add_signed(change.into()),
+            };
+        }
+    }
+    lags
+}
+
+/// Beside the lags' costs, so that each has neighbours.
+const BESIDE: usize = CHANGES.len();
+/// Stands for any change of the lag.
+const JUMPED: i8 = i8::MAX;
+
+/// The costs of the paths to a point, by its lag, with infinite ones at both ends.
+struct Costs([f32; LONGEST + 1 + 2 * BESIDE]);
+
+impl Default for Costs {
+    fn default() -> Self {
+        let mut costs = [f32::INFINITY; LONGEST + 1 + 2 * BESIDE];
+        costs[BESIDE..][..LONGEST + 1].fill(0.0);
+        Costs(costs)
+    }
+}
+
+/// How the paths to a point come from the last point.
+struct Step {
+    /// For each lag, by how much that of the last point is larger, or `JUMPED`.
+    changes: [i8; LONGEST + 1],
+    /// The lag of the last point, where the path jumps.
+    best: usize,
+}
+
+impl Costs {
+    /// Goes on to a point: from the costs of the paths to the last point to those of the paths to this one.
+    fn advance(&mut self, directions: &Directions, point: usize) -> Step {
+        let (best, least) = self.least();
+        let mut step = Step { changes: [0; LONGEST + 1], best };
+        let mut costs = [0.0f32; LONGEST + 1];
+        costs.copy_from_slice(&self.0[BESIDE..][..LONGEST + 1]);
+        for (change, more) in (1..).zip(CHANGES) {
+            for (place, change) in [(BESIDE - change, -(change as i8)), (BESIDE + change, change as i8)] {
+                let others = &self.0[place..][..LONGEST + 1];
+                for ((cost, came), other) in costs.iter_mut().zip(&mut step.changes).zip(others) {
+                    let is_less = other + more < *cost;
+                    *cost = if is_less { other + more } else { *cost };
+                    *came = if is_less { change } else { *came };
+                }
+            }
+        }
+        for (cost, came) in costs.iter_mut().zip(&mut step.changes) {
+            let is_less = least + JUMP < *cost;
+            *cost = if is_less { least + JUMP } else { *cost } - least;
+            *came = if is_less { JUMPED } else { *came };
+        }
+        costs[0] += NONE;
+        // Lags from 1 on lead to the points before, the latest first.
+        let first = point.saturating_sub(LONGEST);
+        let own = (directions.azimuths[point], directions.elevations[point]);
+        let azimuths = directions.azimuths[first..point].iter().rev();
+        let before = azimuths.zip(directions.elevations[first..point].iter().rev());
+        for (total, (&azimuth, &elevation)) in costs[1..].iter_mut().zip(before) {
+            *total += cost((azimuth, elevation), own);
+        }
+        costs[1 + point - first..].fill(f32::INFINITY);
+        self.0[BESIDE..][..LONGEST + 1].copy_from_slice(&costs);
+        step
+    }
+
+    /// The lag of the cheapest path, and its cost.
+    fn least(&self) -> (usize, f32) {
+        let costs = &self.0[BESIDE..][..LONGEST + 1];
+        let least = costs.iter().copied().fold(f32::INFINITY, f32::min);
+        (costs.iter().position(|&cost| cost == least).unwrap_or(0), least)
+    }
+}
