@@ -12,8 +12,8 @@ use std::path::PathBuf;
 
 use crate::common::firings::{OusterDriver, ouster};
 use crate::common::formats::{
-    columns, csv, kitti, las, npy, npy_by_column, npy_doubles, nuscenes, pcd_extra, pcd_text, pcd_velodyne,
-    pcd_xyz, ply, ply_big_endian, ply_text,
+    columns, csv, kitti, las, nclt, npy, npy_by_column, npy_doubles, nuscenes, pcd_extra, pcd_text,
+    pcd_velodyne, pcd_xyz, ply, ply_big_endian, ply_text,
 };
 use crate::common::scans::{compensated, random_points, rounded, scans, single_precision, small, unrounded};
 use crate::common::streams::{KNOWN, at_level, halved, moved_through_a_map, with_back_end};
@@ -470,7 +470,7 @@ fn firing_files() -> Vec<File> {
 }
 
 /// Scans of a VLP-16 that no scanner explains, as they were moved with a car: with rings, without, each firing twice with
-/// intensities off any grid, and in half precision.
+/// intensities off any grid, in half precision, and in steps of 5 mm.
 fn trail_files() -> Vec<File> {
     let config = SynthConfig { scanner: SynthScanner::Vlp16, thinning: 2, ..small(9, 4) };
     let mut frames = scans(&config);
@@ -489,6 +489,7 @@ fn trail_files() -> Vec<File> {
         ("1.bin", kitti(&frames[1])),
         ("2.bin", kitti(&twice)),
         ("3.bin", kitti(&half)),
+        ("4.bin", nclt(&frames[0])),
     ]
     .map(|(name, bytes)| (name.to_owned(), bytes))
     .to_vec()

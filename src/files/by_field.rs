@@ -29,7 +29,8 @@ pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> O
 /// Those of [`widened::write`].
 pub(super) fn write(body: &[u8], layout: &Layout, widenings: &[Widening]) -> Result<Vec<u8>> {
     let wide = |(field, widening): (&Field, &Widening)| match widening {
-        Widening::None => field.clone(),
+        // A valid layout has no steps here.
+        Widening::None | Widening::Steps(_) => field.clone(),
         Widening::Exact | Widening::Decimal(_) => Field { scalar: Scalar::F64, ..field.clone() },
     };
     let fields: Vec<_> = layout.fields.iter().zip(widenings).map(wide).collect();

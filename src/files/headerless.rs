@@ -1,8 +1,10 @@
 //! Records without a header: KITTI's `.bin`, nuScenes' `.pcd.bin`, and records whose fields the user
-//! specifies; and the `.bin` of the Oxford Radar RobotCar data set, which holds KITTI's fields one after the other.
+//! specifies; the `.bin` of the Oxford Radar RobotCar data set, which holds KITTI's fields one after the other; and
+//! those of NCLT, with 16-bit integers.
 //!
 //! Sources: A. Geiger et al., "Vision meets Robotics: The KITTI Dataset" (raw data development
-//! kit); nuScenes devkit, `LidarPointCloud.from_file`; robotcar-dataset-sdk, `load_velodyne_binary`.
+//! kit); nuScenes devkit, `LidarPointCloud.from_file`; robotcar-dataset-sdk, `load_velodyne_binary`; N. Carlevaris-Bianco
+//! et al., "University of Michigan North Campus long-term vision and lidar dataset".
 
 use std::fmt;
 use std::str::FromStr;
@@ -12,8 +14,9 @@ use byteorder::{ByteOrder, LittleEndian};
 use super::by_field;
 use super::field::{find, layout_of};
 use super::records::plain_file;
+use super::widened;
 use crate::ground::error::{Error, Result};
-use crate::scan::{Field, Layout, MAX_NAME, MAX_STRIDE, Scalar, ScanFile, Wrapping};
+use crate::scan::{Axis, Field, Layout, MAX_NAME, MAX_STRIDE, Scalar, ScanFile, Wrapping};
 
 /// The largest number of fields in a record; scanners' records have 3 to about 20.
 const MOST_FIELDS: usize = 64;
@@ -101,13 +104,41 @@ impl FromStr for HeaderlessLayout {
     }
 }
 
-/// Splits a file with KITTI's fields, record by record or field by field.
+/// Splits a file with KITTI's fields, record by record or field by field, or one of the NCLT data set.
 pub(super) fn parse_kitti(bytes: &[u8]) -> Option<ScanFile> {
+    if is_nclt(bytes) {
+        let others = ["intensity", "ring"].map(|name| Field::new(name, Scalar::U8));
+        return widened::parse_steps(NCLT, &others, bytes);
+    }
     let layout = HeaderlessLayout::kitti();
     match is_by_field(bytes) {
         true => by_field::parse(layout.layout()?, bytes, 0, (bytes.len() / KITTI_RECORD) as u64),
         false => layout.parse(bytes),
     }
+}
+
+/// The coordinates of the NCLT data set: 16-bit integers in steps of 5 mm.
+const NCLT: Axis = Axis { per_metre: 200.0, offset: -100.0 };
+
+/// Whether a file holds records of the NCLT data set: x, y and z as 16-bit integers, then intensity and laser, a byte
+/// each. Nothing says so but the values: the coordinates are up to 100 m, and an HDL-32E has 32 lasers. In a file of
+/// float32, the last byte of a value is as small only for numbers near 0.
+fn is_nclt(bytes: &[u8]) -> bool {
+    const RECORD: usize = 8;
+    const FEWEST: usize = 100;
+    const LASERS: u8 = 32;
+    /// The largest coordinate, 100 m.
+    const MOST: u16 = 40_000;
+    let records = bytes.chunks_exact(RECORD);
+    let coordinates = |record: &[u8]| [0, 2, 4].map(|at| LittleEndian::read_u16(&record[at..]));
+    let is_near =
+        |record: &[u8]| record[7] < LASERS && coordinates(record).iter().all(|&steps| steps <= MOST);
+    let lasers: u32 =
+        records.clone().map(|record| 1 << (record[7] % LASERS)).fold(0, |all, laser| all | laser);
+    records.len() >= FEWEST
+        && bytes.len().is_multiple_of(RECORD)
+        && lasers.count_ones() >= 8
+        && records.clone().all(is_near)
 }
 
 /// Bytes of a record with KITTI's fields.
@@ -189,6 +220,27 @@ mod tests {
         for bytes in [floats(&records), floats(&odd), [floats(&by_field), vec![7]].concat()] {
             assert_eq!(comes_back("0.bin", bytes).layout.wrapping, Wrapping::Plain);
         }
+    }
+
+    #[test]
+    fn nclt_records_are_16_bit_integers() {
+        let record = |n: u16| {
+            let steps = [n.wrapping_mul(7919) % 40_001, 40_000 - n % 40_001, n % 40_001];
+            [steps.map(u16::to_le_bytes).as_flattened(), &[n as u8, n as u8 % 32]].concat()
+        };
+        let file: Vec<u8> = (0..40_001).flat_map(record).collect();
+        let scan = comes_back("0.bin", file.clone());
+        assert_eq!((scan.records, scan.cloud.positions[0]), (40_001, [-100.0, 100.0, -100.0]));
+        assert_eq!(scan.cloud.positions[1], [-60.405, 99.995, -99.995]);
+        assert_eq!((scan.cloud.intensity[3], scan.cloud.channel("ring").unwrap().bytes[33]), (3.0, 1));
+        assert_eq!(scan.layout.axes(), Some([NCLT; 3]));
+        // Other records are KITTI's, as ever.
+        let far = [u16::MAX.to_le_bytes().to_vec(), vec![0; 5], vec![3]].concat();
+        let high = [vec![0; 7], vec![32]].concat();
+        for odd in [vec![0; 800], [&file[..8000], &far].concat(), [&file[..8000], &high].concat()] {
+            assert_eq!(comes_back("0.bin", odd).layout.wrapping, Wrapping::Plain);
+        }
+        assert_eq!(comes_back("0.bin", file[..8001].to_vec()).layout.wrapping, Wrapping::Plain);
     }
 
     #[test]

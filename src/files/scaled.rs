@@ -3,7 +3,6 @@
 use byteorder::{ByteOrder, LittleEndian};
 
 use super::records::Parts;
-use crate::ground::rounding::round_ties_even;
 use crate::scan::{Axis, Layout, ScanFile, Wrapping};
 
 /// Splits a file whose records follow one another from byte `start` on, at most `count` of them. The layout
@@ -28,18 +27,14 @@ pub(super) fn parse(
 
 fn to_metres(body: &mut [u8], layout: &Layout, axes: &[Axis; 3]) {
     each(body, layout, axes, |axis, value| {
-        let metres = f64::from(LittleEndian::read_i32(value)) / axis.per_metre + axis.offset;
-        LittleEndian::write_f32(value, metres as f32);
+        LittleEndian::write_f32(value, axis.metres(LittleEndian::read_i32(value)));
     });
 }
 
 /// Converts the coordinates in whole records to the integers of the file.
 pub(super) fn to_steps(body: &mut [u8], layout: &Layout, axes: &[Axis; 3]) {
     each(body, layout, axes, |axis, value| {
-        let steps = (f64::from(LittleEndian::read_f32(value)) - axis.offset) * axis.per_metre;
-        // The conversion of NaN gives 0.
-        let steps = round_ties_even(steps.clamp(i32::MIN.into(), i32::MAX.into())) as i32;
-        LittleEndian::write_i32(value, steps);
+        LittleEndian::write_i32(value, axis.steps(LittleEndian::read_f32(value), [i32::MIN, i32::MAX]));
     });
 }
 

@@ -79,7 +79,7 @@ fn forged(wrapping: Wrapping) -> ScanFile {
     ScanFile { layout, records: 2, cloud, ..ScanFile::default() }
 }
 
-fn wrappings() -> [Wrapping; 7] {
+fn wrappings() -> [Wrapping; 8] {
     let column = Column { scalar: Scalar::F32, rule: NumberRule::Fixed(40) };
     let decimal = Widening::Decimal(column.rule);
     let format = TextFormat { separator: Separator::Tab, columns: vec![column; 4], ..TextFormat::default() };
@@ -90,6 +90,7 @@ fn wrappings() -> [Wrapping; 7] {
         Wrapping::BigEndian,
         Wrapping::Scaled([Axis { per_metre: 1000.0, offset: -1.0 }; 3]),
         Wrapping::Widened(vec![Widening::Exact, Widening::None, decimal, Widening::Exact]),
+        Wrapping::Widened(vec![Widening::Steps(Axis { per_metre: 200.0, offset: -100.0 }); 4]),
         Wrapping::ByField(vec![decimal; 4]),
     ]
 }

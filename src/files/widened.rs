@@ -1,5 +1,5 @@
 //! Records whose doubles are made from float32 or from few digits, as written by programs that compute in double
-//! precision. FORMAT.md 9.
+//! precision, and records with 16-bit integers in place of coordinates. FORMAT.md 9.
 
 use std::fmt::Write;
 
@@ -7,7 +7,7 @@ use super::field::{is_coordinate, is_intensity, layout_of};
 use super::number::{self, NumberWriter};
 use super::records::Parts;
 use crate::ground::error::{Error, Result};
-use crate::scan::{Column, Field, Layout, NumberRule, Scalar, ScanFile, Widening, Wrapping};
+use crate::scan::{Axis, Column, Field, Layout, NumberRule, Scalar, ScanFile, Widening, Wrapping};
 
 /// Splits a file as [`plain_file`](super::records::plain_file) does, but doubles that float32 determines become
 /// float32: x, y and z only all three.
@@ -17,6 +17,25 @@ pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> O
     let Some(Narrowed { fields, widenings, body }) = narrowed(&layout.fields, parts.body) else {
         return Some(parts.file(layout, parts.body));
     };
+    Some(parts.file(layout_of(fields, Wrapping::Widened(widenings))?, &body))
+}
+
+/// Splits a file of records with these fields, of which the first three are coordinates as 16-bit integers.
+pub(super) fn parse_steps(axis: Axis, others: &[Field], bytes: &[u8]) -> Option<ScanFile> {
+    let coordinates = ["x", "y", "z"].map(|name| Field::new(name, Scalar::F32));
+    let fields = [&coordinates[..], others].concat();
+    let width: usize = others.iter().map(Field::width).sum();
+    let parts = Parts::of(bytes, 0, 6 + width, u64::MAX)?;
+    let mut body = Vec::with_capacity(parts.records * (12 + width));
+    for record in parts.body.chunks_exact(6 + width) {
+        let (steps, rest) = record.split_at(6);
+        for value in steps.as_chunks().0 {
+            body.extend(axis.metres(u16::from_le_bytes(*value).into()).to_le_bytes());
+        }
+        body.extend_from_slice(rest);
+    }
+    let mut widenings = vec![Widening::Steps(axis); 3];
+    widenings.resize(fields.len(), Widening::None);
     Some(parts.file(layout_of(fields, Wrapping::Widened(widenings))?, &body))
 }
 
@@ -39,7 +58,9 @@ pub(super) fn narrowed(fields: &[Field], body: &[u8]) -> Option<Narrowed> {
     }
     let scalar = |(field, widening): (&Field, &Widening)| match widening {
         Widening::None => field.clone(),
-        Widening::Exact | Widening::Decimal(_) => Field { scalar: Scalar::F32, ..field.clone() },
+        Widening::Exact | Widening::Decimal(_) | Widening::Steps(_) => {
+            Field { scalar: Scalar::F32, ..field.clone() }
+        }
     };
     let mut narrowed = Vec::with_capacity(body.len());
     for record in body.chunks_exact(fields.iter().map(Field::width).sum()) {
@@ -49,7 +70,8 @@ pub(super) fn narrowed(fields: &[Field], body: &[u8]) -> Option<Narrowed> {
             rest = after;
             match widening {
                 Widening::None => narrowed.extend_from_slice(own),
-                Widening::Exact | Widening::Decimal(_) => {
+                // Doubles never become steps.
+                Widening::Exact | Widening::Decimal(_) | Widening::Steps(_) => {
                     own.as_chunks().0.iter().for_each(|value| narrowed.extend(narrow(value)));
                 }
             }
@@ -192,6 +214,12 @@ pub(super) fn write(body: &[u8], layout: &Layout, widenings: &[Widening]) -> Res
                 Widening::Decimal(rule) => {
                     for value in own.as_chunks().0 {
                         out.extend(decimals.widen(value, *rule)?);
+                    }
+                }
+                Widening::Steps(axis) => {
+                    for value in own.as_chunks().0 {
+                        let steps = axis.steps(f32::from_le_bytes(*value), [0, u16::MAX.into()]);
+                        out.extend((steps as u16).to_le_bytes());
                     }
                 }
             }

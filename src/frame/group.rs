@@ -128,7 +128,9 @@ fn file_rounding_um(scan: &ScanFile) -> u32 {
     let is_rounded = match &scan.layout.wrapping {
         Wrapping::Text(_) | Wrapping::Scaled(_) => true,
         Wrapping::Widened(widenings) | Wrapping::ByField(widenings) => {
-            widenings.iter().any(|widening| matches!(widening, Widening::Decimal(_)))
+            let is_rounded =
+                |widening: &Widening| matches!(widening, Widening::Decimal(_) | Widening::Steps(_));
+            widenings.iter().any(is_rounded)
         }
         Wrapping::Plain | Wrapping::PcdCompressed { .. } | Wrapping::BigEndian => false,
     };
@@ -144,7 +146,7 @@ fn file_rounding_um(scan: &ScanFile) -> u32 {
 /// The maximum displacement, in micrometres, of decoded points when the file is written with integer
 /// coordinates: half a step along each axis.
 fn step_rounding_um(scan: &ScanFile) -> u32 {
-    let Wrapping::Scaled(axes) = scan.layout.wrapping else { return 0 };
+    let Some(axes) = scan.layout.axes() else { return 0 };
     let half_steps = axes.map(|axis| 0.5 / axis.per_metre);
     (1e6 * half_steps.iter().map(|half| half * half).sum::<f64>().sqrt()).ceil() as u32
 }

@@ -3,6 +3,7 @@
 
 use super::text_format::{NumberRule, Scalar, TextFormat};
 use crate::ground::error::{Error, Result};
+use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
 /// The longest record, in bytes. Scanners' records have 12 to about 50 bytes, those of point features a few
@@ -75,7 +76,7 @@ pub enum Wrapping {
     BigEndian,
     /// One after the other, with 32-bit integers in place of x, y and z (LAS).
     Scaled([Axis; 3]),
-    /// One after the other, with doubles in place of the float32 values of some fields; for each field, how.
+    /// One after the other, with doubles or integers in place of the float32 values of some fields; for each field, how.
     Widened(Vec<Widening>),
     /// Field by field (`.npy` in column-major order), with doubles in place of the float32 values of some
     /// fields, as in `Widened`.
@@ -92,6 +93,8 @@ pub enum Widening {
     /// A float32 as the double nearest to its text by this rule: the file was made from text, or from numbers of few
     /// digits.
     Decimal(NumberRule),
+    /// A float32 as the nearest 16-bit integer of this axis.
+    Steps(Axis),
 }
 
 /// How a coordinate is computed from an integer: `integer / per_metre + offset`, in double precision, then
@@ -106,6 +109,29 @@ pub struct Axis {
 
 /// Reflexive for valid axes, which hold no NaN.
 impl Eq for Axis {}
+
+impl Axis {
+    /// The coordinate of an integer, in metres.
+    pub fn metres(&self, integer: i32) -> f32 {
+        (f64::from(integer) / self.per_metre + self.offset) as f32
+    }
+
+    /// The integer whose coordinate is nearest, from `least` to `most`; 0 for NaN.
+    pub fn steps(&self, metres: f32, [least, most]: [i32; 2]) -> i32 {
+        let steps = (f64::from(metres) - self.offset) * self.per_metre;
+        // The conversion of NaN gives 0.
+        round_ties_even(steps.clamp(least.into(), most.into())) as i32
+    }
+
+    fn write_to(&self, out: &mut Vec<u8>) {
+        out.extend(self.per_metre.to_le_bytes());
+        out.extend(self.offset.to_le_bytes());
+    }
+
+    fn is_valid(&self) -> bool {
+        self.per_metre.is_finite() && self.per_metre > 0.0 && self.offset.is_finite()
+    }
+}
 
 /// The LZF compressors that write PCD files. They share a format but find different matches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -122,6 +148,9 @@ impl LzfDialect {
     /// Every dialect, at the index of its number in the serialised form; the likeliest first.
     pub const ALL: [LzfDialect; 3] = [LzfDialect::Ultra13, LzfDialect::Ultra16, LzfDialect::Very16];
 }
+
+/// What is wrong with an axis that is not valid.
+const INVALID_AXIS: &str = "a scale that is not positive, or an offset that is not finite";
 
 // The first byte of a serialised layout.
 const PLAIN: u8 = 0;
@@ -202,21 +231,22 @@ impl Layout {
             Wrapping::Plain => Ok(()),
             Wrapping::PcdCompressed { .. } | Wrapping::BigEndian => check(stride > 0, "no fields"),
             Wrapping::Scaled(axes) => {
-                let is_valid = |axis: &Axis| {
-                    axis.per_metre.is_finite() && axis.per_metre > 0.0 && axis.offset.is_finite()
-                };
                 check(self.position.is_some(), "no coordinates to scale")?;
-                check(
-                    axes.iter().all(is_valid),
-                    "a scale that is not positive, or an offset that is not finite",
-                )
+                check(axes.iter().all(Axis::is_valid), INVALID_AXIS)
             }
             Wrapping::Widened(widened) | Wrapping::ByField(widened) => {
+                let is_by_record = matches!(self.wrapping, Wrapping::Widened(_));
                 let suit = |(field, widening): (&Field, &Widening)| match widening {
                     Widening::None => true,
                     Widening::Exact => field.scalar == Scalar::F32,
                     Widening::Decimal(rule) => field.scalar == Scalar::F32 && rule.suits(Scalar::F32),
+                    Widening::Steps(_) => field.scalar == Scalar::F32 && is_by_record,
                 };
+                let is_valid = |widening: &Widening| match widening {
+                    Widening::Steps(axis) => axis.is_valid(),
+                    Widening::None | Widening::Exact | Widening::Decimal(_) => true,
+                };
+                check(widened.iter().all(is_valid), INVALID_AXIS)?;
                 check(widened.len() == self.fields.len(), "another number of widened fields")?;
                 check(stride > 0, "no fields")?;
                 check(self.fields.iter().zip(widened).all(suit), "a widened field of another type")
@@ -230,6 +260,21 @@ impl Layout {
                 check(fits, "columns do not fill the record")?;
                 format.validate()
             }
+        }
+    }
+
+    /// The axes of the coordinates, if the file has integers in place of all three.
+    pub fn axes(&self) -> Option<[Axis; 3]> {
+        let [x, y, z] = self.position?.map(|field| match &self.wrapping {
+            Wrapping::Widened(widened) => match widened.get(field as usize) {
+                Some(Widening::Steps(axis)) => Some(*axis),
+                _ => None,
+            },
+            _ => None,
+        });
+        match self.wrapping {
+            Wrapping::Scaled(axes) => Some(axes),
+            _ => Some([x?, y?, z?]),
         }
     }
 
@@ -268,14 +313,15 @@ impl Layout {
                             let (rule, parameter) = rule.to_bytes();
                             out.extend([2, rule, parameter]);
                         }
+                        Widening::Steps(axis) => {
+                            out.push(3);
+                            axis.write_to(out);
+                        }
                     }
                 }
             }
             Wrapping::Scaled(axes) => {
-                for axis in axes {
-                    out.extend(axis.per_metre.to_le_bytes());
-                    out.extend(axis.offset.to_le_bytes());
-                }
+                axes.iter().for_each(|axis| axis.write_to(out));
             }
         }
     }
@@ -343,6 +389,7 @@ fn read_widenings(input: &mut &[u8], count: usize) -> Result<Vec<Widening>> {
         2 => NumberRule::from_bytes(read_byte(input)?, read_byte(input)?)
             .map(Widening::Decimal)
             .ok_or_else(|| Error::corrupt("record layout: unknown number rule")),
+        3 => read_axis(input).map(Widening::Steps),
         _ => Err(Error::corrupt("record layout: unknown widening")),
     };
     (0..count).map(widening).collect()

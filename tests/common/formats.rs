@@ -5,6 +5,15 @@ pub fn kitti(points: &[[f32; 4]]) -> Vec<u8> {
     points.as_flattened().iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
+/// NCLT `.bin`: coordinates in steps of 5 mm, of points up to 100 m away; intensity and laser.
+pub fn nclt(points: &[[f32; 4]]) -> Vec<u8> {
+    let record = |(n, [x, y, z, intensity]): (usize, &[f32; 4])| {
+        let steps = [x, y, z].map(|v| ((v + 100.0) * 200.0).round() as u16);
+        [steps.map(u16::to_le_bytes).as_flattened(), &[(intensity * 255.0) as u8, (n % 16) as u8]].concat()
+    };
+    points.iter().enumerate().flat_map(record).collect()
+}
+
 /// nuScenes `.pcd.bin`: x, y, z, intensity, ring.
 pub fn nuscenes(points: &[[f32; 4]]) -> Vec<u8> {
     let record =

@@ -4,7 +4,7 @@ import struct
 from fractions import Fraction
 from math import isfinite, isnan
 
-from layout import BIG_ENDIAN, BY_FIELD, CRLF, F32, FIXED, INTEGER, OPEN_END, PCD_COMPRESSED, SCALED, SCIENTIFIC
+from layout import BIG_ENDIAN, BY_FIELD, CRLF, F32, FIXED, INTEGER, OPEN_END, PCD_COMPRESSED, SCALED, SCIENTIFIC, Axis
 from layout import SEPARATOR_FLAGS, SEPARATORS, SIGNIFICANT, SPACE_AFTER, TEXT, TRAILING_SEPARATOR, TYPES, WIDENED
 from models import clamp, f32, to_int
 from scanner import float_of_bits
@@ -62,12 +62,22 @@ def big_endian(layout, records):
 
 def scaled(layout, records):
     out = bytearray(records)
-    for field, (per_metre, offset) in zip(layout.position, layout.axes):
+    for field, axis in zip(layout.position, layout.axes):
         for at in range(field.offset, len(out), layout.stride):
-            steps = (struct.unpack_from("<f", out, at)[0] - offset) * per_metre
-            steps = 0 if isnan(steps) else round(clamp(steps, -(2.0**31), 2.0**31 - 1))
+            steps = steps_of(struct.unpack_from("<f", out, at)[0], axis, -(2.0**31), 2.0**31 - 1)
             struct.pack_into("<i", out, at, steps)
     return bytes(out)
+
+
+def steps_of(metres, axis, least, most):
+    steps = (metres - axis.offset) * axis.per_metre
+    return 0 if isnan(steps) else round(clamp(steps, least, most))
+
+
+def shorts(values, axis):
+    """The bytes of 16-bit integers in place of those of float32."""
+    values = struct.unpack(f"<{len(values) // 4}f", values)
+    return b"".join(struct.pack("<H", steps_of(v, axis, 0.0, 65535.0)) for v in values)
 
 
 def widened(layout, records):
@@ -75,7 +85,10 @@ def widened(layout, records):
     for start in range(0, len(records), layout.stride):
         for field, widening in zip(layout.fields, layout.widened):
             own = records[start + field.offset :][: field.width]
-            out += doubles(own, *widening) if widening else own
+            if isinstance(widening, Axis):
+                out += shorts(own, widening)
+            else:
+                out += doubles(own, *widening) if widening else own
     return bytes(out)
 
 

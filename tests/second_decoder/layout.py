@@ -1,6 +1,7 @@
 """Section 8.1 of FORMAT.md: the serialised layout of records."""
 
 import struct
+from collections import namedtuple
 from math import isfinite
 from unicodedata import category
 
@@ -19,6 +20,9 @@ SEPARATORS = {0: " ", 2: "\t", 8: ",", 16: ";"}
 SEPARATOR_FLAGS = 2 | 8 | 16
 # Hash bits, multiplier, inserts of each dialect of LZF.
 DIALECTS = ((13, 1, 1), (16, 1, 1), (16, 5, 2))
+
+
+Axis = namedtuple("Axis", "per_metre offset")
 
 
 class Field:
@@ -80,9 +84,7 @@ class Layout:
         elif self.wrapping == TEXT:
             self.read_text(reader)
         elif self.wrapping == SCALED:
-            self.axes = [struct.unpack("<dd", reader.take(16)) for _ in range(3)]
-            if not all(isfinite(per_metre) and per_metre > 0 and isfinite(offset) for per_metre, offset in self.axes):
-                raise Refused("a scale that is not positive, or an offset that is not finite")
+            self.axes = [self.read_axis(reader) for _ in range(3)]
             if not self.position:
                 raise Refused("no coordinates to scale")
         elif self.wrapping in (WIDENED, BY_FIELD):
@@ -102,11 +104,19 @@ class Layout:
             raise Refused("a field of unknown type, or without values")
         return Field(name, kind, count, self.stride)
 
+    def read_axis(self, reader):
+        axis = Axis(*struct.unpack("<dd", reader.take(16)))
+        if not (isfinite(axis.per_metre) and axis.per_metre > 0 and isfinite(axis.offset)):
+            raise Refused("a scale that is not positive, or an offset that is not finite")
+        return axis
+
     def read_widening(self, reader, field):
-        """None, or the rule and its parameter, where rule is None for the same number."""
+        """None, or the rule and its parameter, where rule is None for the same number; for steps, `per_metre` and `offset`."""
         widening = reader.unsigned(1)
-        if widening > 2 or widening and field.kind != F32:
+        if widening > (3 if self.wrapping == WIDENED else 2) or widening and field.kind != F32:
             raise Refused("a widened field of another type")
+        if widening == 3:
+            return self.read_axis(reader)
         if widening < 2:
             return (None, 0) if widening else None
         return self.rule(F32, *reader.take(2))
