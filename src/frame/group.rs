@@ -278,16 +278,12 @@ impl<'s> TrackEncoder<'s> {
     ) -> Result<(EncodedFrame, Option<LossyFile>)> {
         let mut stages = StageReport { frames: 1, original: original.file_size, ..StageReport::default() };
         let name = scan.name.clone();
-        // Files without points tell nothing about scans.
+        // Files without points tell nothing about scans. Where a compressor won, the models are tried again: other scans of
+        // the group may be theirs.
         let trial = if scan.records > 0 { self.whole } else { Trial::Open };
-        let kept = (trial == Trial::Won).then(|| scan.clone());
         let mut frame = FrameParts::from_scan(scan, self.scanner, config, &mut stages)?;
         frame.parameters.halved = self.halves(&frame);
         let may_be_unexplained = trial != Trial::Lost && may_be_unexplained(&frame, config);
-        if let Some(scan) = kept.filter(|_| may_be_unexplained) {
-            let whole = WholeFile::shortest(&scan, config.level, usize::MAX)?;
-            return Ok((self.encode_whole(whole, scan.records, original, stages)?, None));
-        }
         let before = may_be_unexplained.then(|| (self.state.models.clone(), stages));
         let mut best: Option<Attempt> = None;
         let fit = stages.timed(Stage::Registration, || self.estimate_motion(&frame));
