@@ -15,8 +15,15 @@ const MOST_LEVELS: usize = 512;
 const WIDEST: i64 = 1 << 62;
 
 /// The values of a frame, ascending: a level is an index of them.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Palette(Vec<i64>);
+
+/// One value, because a palette is never empty: that of a frame all of whose values are off the scale.
+impl Default for Palette {
+    fn default() -> Self {
+        Palette(vec![0])
+    }
+}
 
 impl Palette {
     /// The values of these integers; `None` if there are too many, or if they lie too far apart.

@@ -320,6 +320,11 @@ fn frames_round_trip_by(way: Way, places: &[(u8, u8)], frames: &[Vec<f32>]) {
 }
 
 #[test]
+fn levels_may_all_be_off_the_scale() {
+    frames_round_trip_by(Way::Levels, &[(0, 0), (1, 1)], &[vec![1.0, 2.0], vec![0.5; 2], vec![2.0, 0.5]]);
+}
+
+#[test]
 fn more_columns_than_have_models_come_back() {
     let values = |n: u32| {
         channel(&format!("c{n}"), Scalar::U8, (0..300).map(move |at| [noise(at * 100 + n) as u8 & 3]))
