@@ -301,6 +301,22 @@ fn frames_come_back_where_compressed_files_are_shorter() {
 }
 
 #[test]
+fn a_compressor_is_tried_again_for_clouds_of_another_kind() {
+    let far = |points: Points| -> Points {
+        points.into_iter().map(|[x, y, z, i]| [x * 1.37, y * 0.73, z * 3.1, i]).collect()
+    };
+    let coordinates: Vec<f32> = far(random_points(64, 1)).iter().map(|point| point[0]).collect();
+    let regular = |n: usize| [n % 64, n / 64 % 64, n / 7 % 64].map(|at| coordinates[at]);
+    let regular = |n: usize| [&regular(n)[..], &[(n % 5) as f32]].concat().try_into().unwrap();
+    let files = [far(random_points(5000, 2)), (0..5000).map(regular).collect()];
+    let files: Vec<File> = (0..).zip(&files).map(|(n, points)| (format!("{n}.bin"), kitti(points))).collect();
+    let [random, regular, both] = [&files[..1], &files[1..], &files[..]]
+        .map(|files| round_trip(files, &EncoderConfig::default()).len());
+    assert!(3 * regular < random, "{regular} bytes, {random} for random points");
+    assert!(both < random + regular + 100, "{both} bytes, alone {random} and {regular}");
+}
+
+#[test]
 fn intensities_that_are_nan_cost_little() {
     let with_nan: Vec<Points> = SCANS[0]
         .iter()

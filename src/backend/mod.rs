@@ -149,31 +149,56 @@ pub fn may_lzma_pay(quick: usize, most: usize, sample: impl FnOnce() -> Option<V
 }
 
 /// What the last frame has shown of a general-purpose coder in place of the models: an encoder spares itself the way that
-/// was clearly longer.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// was clearly longer, in frames that are like that one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Trial {
     /// Nothing, or that both take about the same number of bytes.
     #[default]
     Open,
-    /// That the models take fewer bytes.
-    Lost,
-    /// That the coder takes fewer bytes.
-    Won,
+    /// That the models take fewer bytes, in a frame of this [likeness](Trial::likeness).
+    Lost(f64),
+    /// That the coder takes fewer bytes, in a frame of this likeness.
+    Won(f64),
 }
 
 impl Trial {
+    /// A number that is about the same for frames that are alike: the bytes a record that zstd makes of them, judged by a
+    /// part from the middle.
+    pub fn likeness(bytes: &[u8], records: usize) -> f64 {
+        const SAMPLE: usize = 64 << 10;
+        let sample = &bytes[bytes.len().saturating_sub(SAMPLE) / 2..][..bytes.len().min(SAMPLE)];
+        let of_sample = records as f64 * sample.len() as f64 / bytes.len() as f64;
+        compress_quickly(sample).map_or(f64::NAN, |quick| quick.len() as f64 / of_sample)
+    }
+
     /// The result of a trial, given the bytes that the coder and the models take.
-    pub fn of(coder: usize, models: usize) -> Self {
+    pub fn of(coder: usize, models: usize, likeness: f64) -> Self {
         /// One part in this number is a clear difference.
         const CLEAR: usize = 64;
         if coder > models.saturating_add(models / CLEAR) {
-            Trial::Lost
+            Trial::Lost(likeness)
         } else if models > coder.saturating_add(coder / CLEAR) {
-            Trial::Won
+            Trial::Won(likeness)
         } else {
             Trial::Open
         }
     }
+
+    /// Whether the coder lost in a frame like this one.
+    pub fn has_lost(self, likeness: impl FnOnce() -> f64) -> bool {
+        matches!(self, Trial::Lost(before) if is_alike(before, likeness()))
+    }
+
+    /// Whether the coder won in a frame like this one.
+    pub fn has_won(self, likeness: impl FnOnce() -> f64) -> bool {
+        matches!(self, Trial::Won(before) if is_alike(before, likeness()))
+    }
+}
+
+fn is_alike(before: f64, likeness: f64) -> bool {
+    /// Frames of one scanner differ by less than one part in this number.
+    const ALIKE: f64 = 8.0;
+    (likeness - before).abs() <= before / ALIKE
 }
 
 /// Effort: 1 is fastest, 9 gives the smallest result. Each coder maps it to a scale of its own.

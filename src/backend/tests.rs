@@ -102,10 +102,23 @@ fn trials_tell_only_clear_differences() {
         (1000, 1000, Trial::Open),
         (1010, 1000, Trial::Open),
         (1000, 1010, Trial::Open),
-        (1020, 1000, Trial::Lost),
-        (1000, 1020, Trial::Won),
-        (1000, usize::MAX, Trial::Won),
+        (1020, 1000, Trial::Lost(4.0)),
+        (1000, 1020, Trial::Won(4.0)),
+        (1000, usize::MAX, Trial::Won(4.0)),
     ] {
-        assert_eq!(Trial::of(coder, models), result, "{coder} and {models} bytes");
+        assert_eq!(Trial::of(coder, models, 4.0), result, "{coder} and {models} bytes");
     }
+}
+
+#[test]
+fn trials_hold_for_frames_that_are_alike() {
+    for (likeness, is_alike) in [(3.4, false), (3.6, true), (4.0, true), (4.4, true), (4.6, false)] {
+        assert_eq!(Trial::Lost(4.0).has_lost(|| likeness), is_alike, "{likeness}");
+        assert_eq!(Trial::Won(4.0).has_won(|| likeness), is_alike, "{likeness}");
+        assert!(!Trial::Won(4.0).has_lost(|| likeness) && !Trial::Lost(4.0).has_won(|| likeness));
+    }
+    assert!(!Trial::Open.has_lost(|| 0.0) && !Trial::Lost(f64::NAN).has_lost(|| f64::NAN));
+    let trial = Trial::of(2000, 1000, Trial::likeness(&residual_like(6000), 500));
+    assert!(trial.has_lost(|| Trial::likeness(&residual_like(3000), 250)), "{trial:?}");
+    assert!(!trial.has_lost(|| Trial::likeness(&[0; 6000], 500)), "{trial:?}");
 }

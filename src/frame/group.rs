@@ -196,7 +196,10 @@ impl<'s> TrackEncoder<'s> {
                 }
             }
         }
-        self.error_um.get_or_insert(max_error_um);
+        // A scan without points tells nothing about others.
+        if scan.records > 0 {
+            self.error_um.get_or_insert(max_error_um);
+        }
         let bounded = bounded.filter(|bounded| bounded.size() < exact.size());
         self.bound_pays = bounded.is_some();
         self.state = if self.bound_pays { after } else { of_exact };
@@ -278,13 +281,9 @@ impl<'s> TrackEncoder<'s> {
     ) -> Result<(EncodedFrame, Option<LossyFile>)> {
         let mut stages = StageReport { frames: 1, original: original.file_size, ..StageReport::default() };
         let name = scan.name.clone();
-        // Files without points tell nothing about scans. Where a compressor won, the models are tried again: other scans of
-        // the group may be theirs.
-        let trial = if scan.records > 0 { self.whole } else { Trial::Open };
         let mut frame = FrameParts::from_scan(scan, self.scanner, config, &mut stages)?;
         frame.parameters.halved = self.halves(&frame);
-        let may_be_unexplained = trial != Trial::Lost && may_be_unexplained(&frame, config);
-        let before = may_be_unexplained.then(|| (self.state.models.clone(), stages));
+        let before = may_be_unexplained(&frame, config).then(|| (self.state.models.clone(), stages));
         let mut best: Option<Attempt> = None;
         let fit = stages.timed(Stage::Registration, || self.estimate_motion(&frame));
         let has_regions = self.scanner.is_some_and(|scanner| scanner.hdl64().is_some());
@@ -304,16 +303,13 @@ impl<'s> TrackEncoder<'s> {
         };
         let unfolded = frame.unfolded_bytes();
         self.state.frames += 1;
+        let own = size_of_sections(&sections);
+        // Where a compressor won, the models are tried again: other scans of the group may be theirs.
         if let Some((models, stages)) = before
             && is_unexplained(&frame, &sections, original.file_size)
         {
-            let own = size_of_sections(&sections);
             let (records, scan) = (frame.records, frame.clone().into_scan(&name)?);
-            let whole = WholeFile::shortest(&scan, config.level, own)?;
-            if records > 0 {
-                self.whole = Trial::of(whole.payload().len(), own);
-            }
-            if whole.payload().len() < own {
+            if let Some(whole) = WholeFile::shorter(&scan, config.level, own, &mut self.whole)? {
                 self.state.models = models;
                 return Ok((self.encode_whole(whole, records, original, stages)?, None));
             }

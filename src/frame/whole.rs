@@ -1,7 +1,7 @@
 //! A frame coded as the bytes of its file by a general-purpose compressor: the fallback if no model pays.
 //! FORMAT.md 8.18.
 
-use crate::backend::{self, Level, STORE, may_lzma_pay};
+use crate::backend::{self, Level, STORE, Trial, may_lzma_pay};
 use crate::files::{parse, plain_records};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -18,14 +18,19 @@ pub struct WholeFile {
 }
 
 impl WholeFile {
-    /// A file coded by a general-purpose compressor. A slow one is tried only if it may take fewer than `most` bytes.
+    /// A file coded by a general-purpose compressor, if that takes fewer than `most` bytes. A slow one is tried only if it
+    /// may, also judging by `trial`: what that showed in an earlier frame, and then in this one.
     ///
     /// # Errors
     /// If the compressor's library fails.
-    pub fn shortest(scan: &ScanFile, level: Level, most: usize) -> Result<Self> {
+    pub fn shorter(scan: &ScanFile, level: Level, most: usize, trial: &mut Trial) -> Result<Option<Self>> {
         /// Bytes of a sample. Less than four times as many are not sampled.
         const SAMPLE: usize = 64 << 10;
         let bytes = scan.to_bytes()?;
+        let likeness = || Trial::likeness(&bytes, scan.records);
+        if trial.has_lost(likeness) {
+            return Ok(None);
+        }
         let records = (scan.layout.wrapping == Wrapping::Plain && !scan.is_opaque())
             .then(|| (scan.layout.clone(), scan.prefix.len()));
         let sample = || {
@@ -33,7 +38,11 @@ impl WholeFile {
             is_large.then(|| bytes[(bytes.len() - SAMPLE) / 2..][..SAMPLE].to_vec())
         };
         let coded = backend::shortest(&bytes, level, |quick| may_lzma_pay(quick, most, sample))?;
-        Ok(WholeFile::coded(bytes, records, coded))
+        // Files without points tell nothing about scans.
+        if scan.records > 0 {
+            *trial = Trial::of(coded.1.len(), most, likeness());
+        }
+        Ok(Some(WholeFile::coded(bytes, records, coded)).filter(|whole| whole.payload.len() < most))
     }
 
     /// A file that is not a scan. If a fast compressor cannot shorten it, as with pictures, it is stored.
@@ -130,7 +139,7 @@ mod tests {
     fn comes_back(name: &str, bytes: &[u8]) {
         let scan = parse(name, bytes.to_vec());
         for level in Level::all() {
-            let whole = WholeFile::shortest(&scan, level, usize::MAX).unwrap();
+            let whole = WholeFile::shorter(&scan, level, usize::MAX, &mut Trial::Open).unwrap().unwrap();
             let (payload, limits) = (whole.payload().to_vec(), Limits::default());
             let decoded = WholeFile::from_payload(&payload, &limits).unwrap();
             let decoded = decoded.into_scan(name, scan.records).unwrap();

@@ -56,16 +56,23 @@ impl StrayModels {
         let mut analysis = Analysis::default();
         if C::ENCODES {
             let may_compress = lattice.is_none() && 2 * positions.len() > records;
-            let won = self.trial == Trial::Won;
-            if !(may_compress && won) {
+            let bytes: Vec<u8> = match may_compress {
+                true => positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect(),
+                false => Vec::new(),
+            };
+            let likeness = || Trial::likeness(&bytes, positions.len());
+            let compress = |most| Compressed::shortest(&bytes, Scalar::F32, WIDTH, level, most);
+            if may_compress && self.trial.has_won(likeness) {
+                compressed = compress(usize::MAX);
+            }
+            if compressed.is_none() {
                 analysis = self.points.analyse(lattice, positions, channels);
             }
-            if may_compress && self.trial != Trial::Lost {
-                let own = if won { usize::MAX } else { self.points.size_of(positions, &analysis) };
-                let bytes: Vec<u8> =
-                    positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
-                compressed = Compressed::shortest(&bytes, Scalar::F32, WIDTH, level, own);
-                self.trial = compressed.as_ref().map_or(Trial::Open, |found| Trial::of(found.size(), own));
+            if may_compress && compressed.is_none() && !self.trial.has_lost(likeness) {
+                let own = self.points.size_of(positions, &analysis);
+                compressed = compress(own);
+                let size = compressed.as_ref().map(Compressed::size);
+                self.trial = size.map_or(Trial::Open, |size| Trial::of(size, own, likeness()));
                 compressed.take_if(|found| found.size() >= own);
             }
         }

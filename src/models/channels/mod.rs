@@ -329,7 +329,7 @@ impl ChannelCoder<'_> {
         if is_constant(bytes, self.width) {
             return (Shape::Constant, Vec::new(), None);
         }
-        if *self.trial == Trial::Won
+        if self.trial.has_won(|| Trial::likeness(bytes, bytes.len() / self.width))
             && let Some(compressed) = self.compressed(bytes, usize::MAX)
         {
             return (Shape::Compressed, Vec::new(), Some(compressed));
@@ -371,7 +371,8 @@ impl ChannelCoder<'_> {
             true => (as_bytes, Shape::Bytes),
             false => (size, Shape::Columns),
         };
-        if *self.trial == Trial::Lost {
+        let likeness = || Trial::likeness(bytes, bytes.len() / self.width);
+        if self.trial.has_lost(likeness) {
             return (shape, None);
         }
         let Some(compressed) = self.compressed(bytes, best.saturating_add(best / UNSURE)) else {
@@ -384,7 +385,7 @@ impl ChannelCoder<'_> {
                 _ => self.handicapped(self.size_as_bytes(bytes)),
             };
         }
-        *self.trial = Trial::of(compressed.size(), best);
+        *self.trial = Trial::of(compressed.size(), best, likeness());
         match compressed.size() < best {
             true => (Shape::Compressed, Some(compressed)),
             false => (shape, None),
