@@ -92,6 +92,9 @@ fn closeness(distance: f64) -> f64 {
     1.0 / distance.max(0.01)
 }
 
+/// The number of points from whose size that of all is estimated.
+const SAMPLE: usize = 4 * predecessors::BLOCK;
+
 /// A difference of angles, in radians, as one of half a turn at most.
 fn turned(angle: f64) -> f64 {
     const TURN: f64 = std::f64::consts::TAU;
@@ -152,12 +155,15 @@ impl PointModel {
         channels: &[Channel],
         own: &[usize],
     ) -> Vec<Option<usize>> {
-        let mut ways = predecessors::ways(positions, channels, own);
-        if ways.len() == 1 {
-            return ways.swap_remove(0);
-        }
         let size = |known: &Vec<Option<usize>>| self.size_of_own(grid, positions, own, known);
-        ways.into_iter().min_by_key(size).unwrap_or_default()
+        let by_channels = predecessors::by_channels(channels, positions.len(), own);
+        let sized = by_channels.into_iter().map(|known| (size(&known), known));
+        let by_channel = sized.min_by_key(|(size, _)| *size);
+        let best = by_channel.filter(|(of_channel, _)| {
+            let of_sample = predecessors::by_order(positions, &own[..own.len().min(SAMPLE)]);
+            *of_channel < size(&of_sample)
+        });
+        best.map_or_else(|| predecessors::by_order(positions, own), |(_, known)| known)
     }
 
     /// About the number of bytes of the points `own`, from the first of them.
@@ -168,7 +174,6 @@ impl PointModel {
         own: &[usize],
         known: &[Option<usize>],
     ) -> usize {
-        const SAMPLE: usize = 16_384;
         let sample = &own[..own.len().min(SAMPLE)];
         let mut encoder = ArithmeticEncoder::default();
         let end = sample.last().map_or(0, |last| last + 1);
@@ -285,7 +290,7 @@ impl PointModel {
         let detail = (exponent(steps[0]) + 14).clamp(0, 31) as usize;
         position[2] = z.code(coder, grid, predictions, (detail, z_error), position[2]);
 
-        let own = Place::of(position, continues.then_some(last));
+        let own = Place { position: finite(position), ..own };
         if continues {
             let shared = features[0] / 1000.0;
             trail.cone.learn(&features, tenths(own.position[2] - height), 1.0 / (1.0 + shared * shared));

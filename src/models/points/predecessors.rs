@@ -6,7 +6,10 @@
 
 use std::collections::{HashMap, HashSet};
 
+use pulp::NullaryFnOnce;
+
 use crate::ground::angle::atan2;
+use crate::ground::lanes::{dispatch, lanes};
 use crate::scan::Channel;
 
 /// The longest lag.
@@ -61,16 +64,15 @@ fn rough_log2(value: f32) -> f32 {
     (bits >> 23) as f32 - 127.0 + (bits & 0x7f_ffff) as f32 / 8_388_608.0
 }
 
-/// Ways to find, for each of the points `own`, the number, among these, of the point before it in its trail: by their
-/// order, and by each channel that may tell which laser measured them.
-pub fn ways(positions: &[[f32; 3]], channels: &[Channel], own: &[usize]) -> Vec<Vec<Option<usize>>> {
-    let directions = Directions::of(own.iter().map(|&index| positions[index]));
-    let lasers = channels.iter().filter_map(|channel| lasers(channel, positions.len(), own));
+/// For each of the points `own`, the number, among these, of the point before it in its trail, by each channel that may
+/// tell which laser measured them.
+pub fn by_channels(channels: &[Channel], points: usize, own: &[usize]) -> Vec<Vec<Option<usize>>> {
+    let lasers = channels.iter().filter_map(|channel| lasers(channel, points, own));
     let by_laser = lasers.map(|lasers| {
         let mut last = HashMap::new();
-        lasers.into_iter().enumerate().map(|(point, laser)| last.insert(laser, point)).collect::<Vec<_>>()
+        lasers.into_iter().enumerate().map(|(point, laser)| last.insert(laser, point)).collect()
     });
-    [by_order(&directions)].into_iter().chain(by_laser).collect()
+    by_laser.collect()
 }
 
 /// The values of a channel for some of the points, if there are as few of them as a scanner has lasers.
@@ -90,13 +92,15 @@ fn lasers<'a>(channel: &'a Channel, points: usize, own: &[usize]) -> Option<Vec<
     values.filter(|values| values.iter().any(|value| *value != values[0]))
 }
 
-/// For each point, the one before it in its trail, as their order tells.
-fn by_order(directions: &Directions) -> Vec<Option<usize>> {
+/// For each of the points `own`, the number, among these, of the point before it in its trail, as their order tells. Those
+/// of the first points do not depend on how many there are, in steps of [`BLOCK`].
+pub fn by_order(positions: &[[f32; 3]], own: &[usize]) -> Vec<Option<usize>> {
     /// Points before a trail's end that are looked at where the likeliest lag leads nowhere.
     const REACH: usize = 3 * LONGEST;
-    let mut goes_on = vec![false; directions.len()];
-    let mut found = Vec::with_capacity(directions.len());
-    for (point, lag) in likeliest_lags(directions).into_iter().enumerate() {
+    let directions = Directions::of(own.iter().map(|&index| positions[index]));
+    let mut goes_on = vec![false; own.len()];
+    let mut found = Vec::with_capacity(own.len());
+    for (point, lag) in likeliest_lags(&directions).into_iter().enumerate() {
         let cost = |before: usize| directions.cost(before, point);
         let fits = |before: &usize| !goes_on[*before] && cost(*before) < MOST_APART;
         let before = point.checked_sub(lag).filter(|_| lag > 0).filter(fits).or_else(|| {
@@ -111,17 +115,18 @@ fn by_order(directions: &Directions) -> Vec<Option<usize>> {
     found
 }
 
+/// Points whose lags are decided together.
+pub const BLOCK: usize = 4096;
+
 /// The lag of each point, 0 where it has no point before it.
 fn likeliest_lags(directions: &Directions) -> Vec<usize> {
-    /// Points whose lags are decided together.
-    const BLOCK: usize = 4096;
     let mut costs = Costs::default();
     let mut lags = Vec::with_capacity(directions.len());
     for start in (0..directions.len()).step_by(BLOCK) {
-        let block = start..directions.len().min(start + BLOCK);
-        let steps: Vec<_> = block.map(|point| costs.advance(directions, point)).collect();
+        let end = directions.len().min(start + BLOCK);
+        let steps = dispatch(Advance { costs: &mut costs, directions, start, end });
         let mut lag = costs.least().0;
-        lags.resize(start + steps.len(), 0);
+        lags.resize(end, 0);
         for (own, from) in lags[start..].iter_mut().zip(steps).rev() {
             *own = lag;
             lag = match from.changes[lag] {
@@ -133,17 +138,21 @@ fn likeliest_lags(directions: &Directions) -> Vec<usize> {
     lags
 }
 
+/// The number of lags, 0 too, filled up to whole vectors. Those above [`LONGEST`] have infinite costs.
+const LAGS: usize = (LONGEST + 1).next_multiple_of(LANES);
+/// Values in the widest vector.
+const LANES: usize = 16;
 /// Beside the lags' costs, so that each has neighbours.
 const BESIDE: usize = CHANGES.len();
 /// Stands for any change of the lag.
 const JUMPED: i8 = i8::MAX;
 
 /// The costs of the paths to a point, by its lag, with infinite ones at both ends.
-struct Costs([f32; LONGEST + 1 + 2 * BESIDE]);
+struct Costs([f32; LAGS + 2 * BESIDE]);
 
 impl Default for Costs {
     fn default() -> Self {
-        let mut costs = [f32::INFINITY; LONGEST + 1 + 2 * BESIDE];
+        let mut costs = [f32::INFINITY; LAGS + 2 * BESIDE];
         costs[BESIDE..][..LONGEST + 1].fill(0.0);
         Costs(costs)
     }
@@ -152,32 +161,53 @@ impl Default for Costs {
 /// How the paths to a point come from the last point.
 struct Step {
     /// For each lag, by how much that of the last point is larger, or `JUMPED`.
-    changes: [i8; LONGEST + 1],
+    changes: [i8; LAGS],
     /// The lag of the last point, where the path jumps.
     best: usize,
 }
 
+/// Goes on from point to point, compiled for several vector units.
+struct Advance<'a> {
+    costs: &'a mut Costs,
+    directions: &'a Directions,
+    start: usize,
+    end: usize,
+}
+
+impl NullaryFnOnce for Advance<'_> {
+    type Output = Vec<Step>;
+
+    #[inline(always)]
+    fn call(self) -> Vec<Step> {
+        let mut steps = Vec::with_capacity(self.end - self.start);
+        for point in self.start..self.end {
+            steps.push(self.costs.advance(self.directions, point));
+        }
+        steps
+    }
+}
+
 impl Costs {
     /// Goes on to a point: from the costs of the paths to the last point to those of the paths to this one.
+    #[inline(always)]
     fn advance(&mut self, directions: &Directions, point: usize) -> Step {
         let (best, least) = self.least();
-        let mut step = Step { changes: [0; LONGEST + 1], best };
-        let mut costs = [0.0f32; LONGEST + 1];
-        costs.copy_from_slice(&self.0[BESIDE..][..LONGEST + 1]);
-        for (change, more) in (1..).zip(CHANGES) {
-            for (place, change) in [(BESIDE - change, -(change as i8)), (BESIDE + change, change as i8)] {
-                let others = &self.0[place..][..LONGEST + 1];
-                for ((cost, came), other) in costs.iter_mut().zip(&mut step.changes).zip(others) {
-                    let is_less = other + more < *cost;
-                    *cost = if is_less { other + more } else { *cost };
-                    *came = if is_less { change } else { *came };
-                }
+        let (mut costs, mut changes) = ([0.0f32; LAGS], [0i32; LAGS]);
+        for lag in 0..LAGS {
+            let at = lag + BESIDE;
+            let (mut cost, mut came) = (self.0[at], 0);
+            for change in 1..=BESIDE {
+                let more = CHANGES[change - 1];
+                let fewer = self.0[at - change] + more;
+                came = if fewer < cost { -(change as i32) } else { came };
+                cost = if fewer < cost { fewer } else { cost };
+                let further = self.0[at + change] + more;
+                came = if further < cost { change as i32 } else { came };
+                cost = if further < cost { further } else { cost };
             }
-        }
-        for (cost, came) in costs.iter_mut().zip(&mut step.changes) {
-            let is_less = least + JUMP < *cost;
-            *cost = if is_less { least + JUMP } else { *cost } - least;
-            *came = if is_less { JUMPED } else { *came };
+            let jump = least + JUMP;
+            changes[lag] = if jump < cost { JUMPED.into() } else { came };
+            costs[lag] = if jump < cost { jump } else { cost } - least;
         }
         costs[0] += NONE;
         // Lags from 1 on lead to the points before, the latest first.
@@ -189,14 +219,23 @@ impl Costs {
             *total += cost((azimuth, elevation), own);
         }
         costs[1 + point - first..].fill(f32::INFINITY);
-        self.0[BESIDE..][..LONGEST + 1].copy_from_slice(&costs);
-        step
+        self.0[BESIDE..][..LAGS].copy_from_slice(&costs);
+        Step { changes: lanes(|lag| changes[lag] as i8), best }
     }
 
     /// The lag of the cheapest path, and its cost.
+    #[inline(always)]
     fn least(&self) -> (usize, f32) {
-        let costs = &self.0[BESIDE..][..LONGEST + 1];
-        let least = costs.iter().copied().fold(f32::INFINITY, f32::min);
-        (costs.iter().position(|&cost| cost == least).unwrap_or(0), least)
+        let costs = &self.0[BESIDE..][..LAGS];
+        let mut leasts = [f32::INFINITY; LANES];
+        for some in costs.as_chunks::<LANES>().0 {
+            leasts = lanes(|lane| if some[lane] < leasts[lane] { some[lane] } else { leasts[lane] });
+        }
+        let least = leasts.into_iter().fold(f32::INFINITY, f32::min);
+        let mut first = u32::MAX;
+        for (lag, &cost) in (0..).zip(costs) {
+            first = first.min(if cost == least { lag } else { u32::MAX });
+        }
+        (if first == u32::MAX { 0 } else { first as usize }, least)
     }
 }

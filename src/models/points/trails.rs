@@ -93,7 +93,7 @@ impl Trails {
             return false;
         }
         let trails = self.ring.len();
-        let mut steps = 0;
+        let (mut steps, mut has_ended) = (0, false);
         loop {
             steps += 1;
             let place = (self.at + steps) % trails;
@@ -108,8 +108,11 @@ impl Trails {
                 self.at = place;
                 break;
             }
+            has_ended |= trail.missed > PATIENCE;
         }
-        self.end_some();
+        if has_ended {
+            self.end_some();
+        }
         true
     }
 
@@ -136,9 +139,6 @@ impl Trails {
 
     /// Removes the trails that have ended.
     fn end_some(&mut self) {
-        if self.ring.iter().all(|trail| trail.missed <= PATIENCE) {
-            return;
-        }
         let ended_before = self.ring[..self.at].iter().filter(|trail| trail.missed > PATIENCE).count();
         self.ring.retain(|trail| trail.missed <= PATIENCE);
         self.at -= ended_before;
