@@ -293,7 +293,8 @@ pub fn differential(data: &[u8]) {
 const LEVELS: [u8; 7] = [1, 2, 3, 6, 7, 8, 9];
 
 /// Names of files of each format, and of none.
-const NAMES: [&str; 8] = ["1.bin", "1.pcd.bin", "1.pcd", "1.ply", "1.csv", "1.npy", "1.las", "1.jpg"];
+const NAMES: [&str; 9] =
+    ["1.bin", "1.pcd.bin", "1.pcd", "1.ply", "1.csv", "1.npy", "1.las", "1.jpg", "1.feather"];
 
 /// Exact mode with one of the back-ends.
 fn by_back_end(number: usize) -> EncoderConfig {

@@ -44,6 +44,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         (5, npy_by_column(points)),
         (6, las(points)),
         (7, b"text".to_vec()),
+        (8, fs::read(in_package("testdata/vectors/pyarrow.lz4.feather")).unwrap()),
     ];
     match target {
         "container" | "salvage" => {

@@ -12,8 +12,8 @@ use std::path::PathBuf;
 
 use crate::common::firings::{OusterDriver, ouster};
 use crate::common::formats::{
-    columns, csv, kitti, las, nclt, npy, npy_by_column, npy_doubles, nuscenes, pcd_extra, pcd_text,
-    pcd_velodyne, pcd_xyz, ply, ply_big_endian, ply_text,
+    columns, csv, kitti, las, nclt, npy, npy_by_column, npy_doubles, npy_halves, nuscenes, pcd_extra,
+    pcd_text, pcd_velodyne, pcd_xyz, ply, ply_big_endian, ply_text,
 };
 use crate::common::scans::{compensated, random_points, rounded, scans, single_precision, small, unrounded};
 use crate::common::streams::{KNOWN, at_level, halved, moved_through_a_map, with_back_end};
@@ -252,6 +252,7 @@ fn recipes() -> Vec<Recipe> {
     );
     exact("ply", ply_files, EncoderConfig::default());
     exact("tables", table_files, EncoderConfig::default());
+    exact("arrow", arrow_files, EncoderConfig::default());
     exact("float32", float_files, EncoderConfig::default());
     exact("float32-deep", float_files, at_level(9));
     exact("single-precision", single_precision_files, EncoderConfig::default());
@@ -337,6 +338,7 @@ fn recipes() -> Vec<Recipe> {
     lossy("bounded-rounded-odd-files", odd_files, rounded.clone());
     lossy("bounded-ply", ply_files, rounded.clone());
     lossy("bounded-tables", table_files, rounded);
+    lossy("bounded-arrow", arrow_files, bounded.clone());
     lossy("bounded-single-precision", single_precision_files, bounded.clone());
     lossy("bounded-compensated", compensated_files, bounded);
     for backend in BACKENDS {
@@ -457,6 +459,16 @@ fn table_files() -> Vec<File> {
             String::from_utf8(columns(&frames[3])).unwrap().replace("; ", "\t").replace(';', "").into_bytes(),
         ),
     ]
+}
+
+/// Arrow files of pyarrow: half precision, doubles, and columns of more than one LZ4 block; and an array in half precision.
+fn arrow_files() -> Vec<File> {
+    let vector = |name: &str| fs::read(in_package("testdata/vectors").join(name)).unwrap();
+    let frame = &scans(&small(3, 2))[0];
+    let names = ["pyarrow.lz4.feather", "pyarrow.plain.feather", "pyarrow.linked.feather"];
+    let mut files: Vec<File> = names.map(|name| (name.to_owned(), vector(name))).to_vec();
+    files.push(("table.npy".to_owned(), npy_halves(frame)));
+    files
 }
 
 /// A VLP-16's scans as the ROS driver's records, one of them with points that no scanner explains.

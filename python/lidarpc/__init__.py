@@ -396,7 +396,7 @@ class Encoder:
 
     def push_file(self, name: str, data: bytes, *, time: Time = None, track: int = 0) -> None:
         """Takes a file by its name and its bytes, which come back as they are: .bin, .pcd.bin, .pcd, .ply, .las, .csv, .txt,
-        .xyz or .npy."""
+        .xyz, .npy or .feather."""
         self._open().push_file(name, bytes(data), _nanoseconds(time), track)
 
     def _open(self) -> _native.StreamWriter:

@@ -25,11 +25,14 @@ __all__ = ["Drive", "Task", "encode", "find_drives", "main"]
 RETRIES = 2
 
 #: What files of scans are called. What else a folder holds is left out, as by ``lidarpc encode``; so are text and arrays of NumPy, which
-#: it would read to tell whether they are scans.
+#: it would read to tell whether they are scans. Tables of Arrow are scans in ``ARGOVERSE`` only.
 SCANS = (".bin", ".pcd", ".ply", ".las", ".xyz")
 
-#: Folders within a drive of KITTI that hold its scans, and are not part of its name.
-INSIDE = ("/velodyne_points/data", "/velodyne")
+#: The folder within a drive of Argoverse 2 that holds its scans.
+ARGOVERSE = "/sensors/lidar"
+
+#: Folders within a drive that hold its scans, and are not part of its name.
+INSIDE = ("/velodyne_points/data", "/velodyne", ARGOVERSE)
 
 
 def _filesystem(url: str):
@@ -65,7 +68,8 @@ def find_drives(source: str) -> list[Drive]:
     drives = []
     for folder, _, files in filesystem.walk(root):
         folder = folder.rstrip("/")
-        scans = sorted(f"{folder}/{name}" for name in files if name.endswith(SCANS) and not name.startswith("."))
+        known = (*SCANS, ".feather") if folder.endswith(ARGOVERSE) else SCANS
+        scans = sorted(f"{folder}/{name}" for name in files if name.endswith(known) and not name.startswith("."))
         if scans:
             name = folder[len(root) :].strip("/")
             inside = next((inside for inside in INSIDE if f"/{name}".endswith(inside)), "")

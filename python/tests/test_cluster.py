@@ -49,6 +49,15 @@ def expected(folder, tmp_path_factory) -> dict[str, bytes]:
     return files
 
 
+def test_drives_of_argoverse_have_their_names(tmp_path):
+    inside = tmp_path / "train/0a1b/sensors/lidar"
+    inside.mkdir(parents=True)
+    for name in ("2.feather", "1.feather", "../../annotations.feather", "notes.txt"):
+        (inside / name).write_bytes(b"")
+    (drive,) = cluster.find_drives(str(tmp_path))
+    assert (drive.name, [path.rsplit("/", 1)[1] for path in drive.scans]) == ("train/0a1b", ["1.feather", "2.feather"])
+
+
 def files_of(folder: Path) -> dict[str, bytes]:
     """All files below, hidden ones, too."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

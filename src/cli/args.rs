@@ -117,7 +117,8 @@ pub struct EncodeArgs {
     /// File to write; `-` for stdout; or a folder, to write a file for each drive. Default: INPUT.lpc.
     ///
     /// FILE is taken as a folder if it is one, or if it ends in a slash. Each drive of a tree becomes a file under its
-    /// path. A drive is a folder of scans, without a trailing `velodyne_points/data`, `velodyne` or `data`.
+    /// path. A drive is a folder of scans, without a trailing `velodyne_points/data`, `sensors/lidar`, `velodyne` or
+    /// `data`.
     #[arg(short, long, value_name = "FILE")]
     pub output: Option<PathBuf>,
     /// Keep all other files of the folders too, byte for byte.

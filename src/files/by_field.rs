@@ -7,33 +7,55 @@ use super::widened;
 use crate::ground::error::Result;
 use crate::scan::{Field, Layout, Scalar, ScanFile, Widening, Wrapping};
 
-/// Splits a file whose `count` records begin at byte `start`. Doubles become float32 as in
+/// Splits a file whose `count` records begin at byte `start`. Numbers become float32 as in
 /// [`widened::parse`]. `None` if the layout is not valid, or if the file is too short.
-pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> Option<ScanFile> {
+pub(super) fn parse(
+    layout: Layout,
+    halves: &[bool],
+    bytes: &[u8],
+    start: usize,
+    count: u64,
+) -> Option<ScanFile> {
     layout.validate().ok()?;
     let parts = Parts::of(bytes, start, layout.stride(), count)?;
     if parts.records as u64 != count {
         return None;
     }
-    let body = to_records(parts.body, &layout.fields);
-    let (fields, widenings, body) = match widened::narrowed(&layout.fields, &body) {
-        Some(narrowed) => (narrowed.fields, narrowed.widenings, narrowed.body),
-        None => (layout.fields.clone(), vec![Widening::None; layout.fields.len()], body),
-    };
+    let (fields, widenings, body) = narrowed(&layout.fields, halves, parts.body)?;
     Some(parts.file(layout_of(fields, Wrapping::ByField(widenings))?, &body))
 }
 
-/// The body with these records, whose doubles are float32 in the fields that are widened.
+/// The fields, how they are widened, and the complete records of values that are stored field by field, where numbers
+/// may become float32 as in [`widened::narrowed`]. `None` if the layout of the fields is not valid.
+pub(super) fn narrowed(
+    fields: &[Field],
+    halves: &[bool],
+    by_field: &[u8],
+) -> Option<(Vec<Field>, Vec<Widening>, Vec<u8>)> {
+    layout_of(fields.to_vec(), Wrapping::Plain)?.validate().ok()?;
+    let body = to_records(by_field, fields);
+    Some(match widened::narrowed(fields, halves, &body) {
+        Some(narrowed) => (narrowed.fields, narrowed.widenings, narrowed.body),
+        None => (fields.to_vec(), vec![Widening::None; fields.len()], body),
+    })
+}
+
+/// The fields as the file has them.
+pub(super) fn stored(layout: &Layout, widenings: &[Widening]) -> impl Iterator<Item = Field> {
+    layout.fields.iter().zip(widenings).map(|(field, widening)| match widening {
+        // A valid layout has no steps here.
+        Widening::None | Widening::Steps(_) => field.clone(),
+        Widening::Half => Field { scalar: Scalar::U16, ..field.clone() },
+        Widening::Exact | Widening::Decimal(_) => Field { scalar: Scalar::F64, ..field.clone() },
+    })
+}
+
+/// The values of records, field by field, whose doubles and halves are float32 in the fields that are widened.
 ///
 /// # Errors
 /// Those of [`widened::write`].
 pub(super) fn write(body: &[u8], layout: &Layout, widenings: &[Widening]) -> Result<Vec<u8>> {
-    let wide = |(field, widening): (&Field, &Widening)| match widening {
-        // A valid layout has no steps here.
-        Widening::None | Widening::Steps(_) => field.clone(),
-        Widening::Exact | Widening::Decimal(_) => Field { scalar: Scalar::F64, ..field.clone() },
-    };
-    let fields: Vec<_> = layout.fields.iter().zip(widenings).map(wide).collect();
+    let fields: Vec<_> = stored(layout, widenings).collect();
     Ok(from_records(&widened::write(body, layout, widenings)?, &fields))
 }
 

@@ -112,7 +112,7 @@ pub(super) fn parse_kitti(bytes: &[u8]) -> Option<ScanFile> {
     }
     let layout = HeaderlessLayout::kitti();
     match is_by_field(bytes) {
-        true => by_field::parse(layout.layout()?, bytes, 0, (bytes.len() / KITTI_RECORD) as u64),
+        true => by_field::parse(layout.layout()?, &[], bytes, 0, (bytes.len() / KITTI_RECORD) as u64),
         false => layout.parse(bytes),
     }
 }

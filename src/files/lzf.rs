@@ -156,30 +156,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-
-    /// Bytes of a small generator, drawn from few values so that matches of all lengths occur.
-    fn sample(length: usize, values: u32, run: u32) -> Vec<u8> {
-        let mut state = 12345u32;
-        let mut next = || {
-            state = state.wrapping_mul(1664525).wrapping_add(1013904223);
-            state >> 16
-        };
-        let mut bytes = Vec::new();
-        while bytes.len() < length {
-            if next() % run == 0 && bytes.len() > 300 {
-                let offset = 1 + next() as usize % bytes.len().min(9000);
-                let take = next() as usize % 400;
-                let from = bytes.len() - offset;
-                for i in 0..take {
-                    bytes.push(bytes[from + i]);
-                }
-            } else {
-                bytes.push((next() % values) as u8);
-            }
-        }
-        bytes.truncate(length);
-        bytes
-    }
+    use crate::files::tests::sample;
 
     #[test]
     fn literals_and_matches_decompress() {

@@ -6,12 +6,14 @@
 
 #[cfg(feature = "cli")]
 mod arrival;
+mod arrow;
 mod big_endian;
 mod by_field;
 mod convert;
 mod field;
 mod headerless;
 mod las;
+mod lz4;
 mod lzf;
 pub mod names;
 mod number;
@@ -65,15 +67,17 @@ pub(crate) enum Kind {
     Numpy,
     /// `.las`.
     Las,
+    /// `.feather` or `.arrow`: a table of numbers, if the file is a scan.
+    Arrow,
 }
 
 /// The extensions of scans, for messages.
 #[cfg(feature = "cli")]
-pub const EXTENSIONS: &str = ".bin, .pcd, .ply, .las, .csv, .txt, .xyz or .npy";
+pub const EXTENSIONS: &str = ".bin, .pcd, .ply, .las, .csv, .txt, .xyz, .npy or .feather";
 
 impl Kind {
     /// Every kind with its extension; an extension that ends in another one comes first.
-    const ALL: [(Kind, &str); 9] = [
+    const ALL: [(Kind, &str); 11] = [
         (Kind::NuScenes, ".pcd.bin"),
         (Kind::Kitti, ".bin"),
         (Kind::Pcd, ".pcd"),
@@ -83,6 +87,8 @@ impl Kind {
         (Kind::Xyz, ".xyz"),
         (Kind::Numpy, ".npy"),
         (Kind::Las, ".las"),
+        (Kind::Arrow, ".feather"),
+        (Kind::Arrow, ".arrow"),
     ];
 
     /// The kind, and the name without its extension, ignoring case; `None` for other names.
@@ -105,6 +111,7 @@ pub fn starts_as_scan(name: &str, start: &[u8]) -> bool {
         Some((Kind::Columns | Kind::Xyz, _)) => Table::find(start).is_some(),
         Some((Kind::Numpy, _)) => numpy::Header::parse(start).is_some(),
         Some((Kind::Las, _)) => las::Header::parse(start).is_some(),
+        Some((Kind::Arrow, _)) => arrow::Header::parse(start).is_some(),
     }
 }
 
@@ -118,7 +125,7 @@ pub const TELLING: u64 = 64 << 10;
 fn is_scan_by_name(name: &str) -> Option<bool> {
     match Kind::of(name) {
         None => Some(false),
-        Some((Kind::Columns | Kind::Numpy, _)) => None,
+        Some((Kind::Columns | Kind::Numpy | Kind::Arrow, _)) => None,
         Some(_) => Some(true),
     }
 }
@@ -130,6 +137,9 @@ pub fn starts_as_scan_of_folder(name: &str, start: &[u8]) -> bool {
     is_scan_by_name(name).unwrap_or_else(|| match Kind::of(name) {
         Some((Kind::Numpy, _)) => {
             numpy::Header::parse(start).is_some_and(|header| header.looks_like_points())
+        }
+        Some((Kind::Arrow, _)) => {
+            arrow::Header::parse(start).is_some_and(|header| header.looks_like_points())
         }
         _ => Table::find(start)
             .is_some_and(|table| table.names_coordinates() || table.looks_like_points(start)),
@@ -154,6 +164,7 @@ pub fn parse_with(name: &str, bytes: Vec<u8>, headerless: Option<&HeaderlessLayo
         (Kind::Columns | Kind::Xyz, _) => table::parse(&bytes),
         (Kind::Numpy, _) => numpy::parse(&bytes),
         (Kind::Las, _) => las::parse(&bytes),
+        (Kind::Arrow, _) => arrow::parse(&bytes),
     });
     match parsed.filter(|file| is_plain(file) || comes_back_as(file, &bytes)) {
         Some(file) => ScanFile { name: name.to_owned(), ..file },
@@ -181,9 +192,11 @@ pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
 pub fn rounded_by_file(scan: &ScanFile, bytes: Vec<u8>) -> Option<ScanFile> {
     match scan.layout.wrapping {
         Wrapping::Plain | Wrapping::BigEndian | Wrapping::PcdCompressed { .. } => None,
-        Wrapping::Text(_) | Wrapping::Scaled(_) | Wrapping::Widened(_) | Wrapping::ByField(_) => {
-            Some(parse_like(scan, &scan.name, bytes))
-        }
+        Wrapping::Text(_)
+        | Wrapping::Scaled(_)
+        | Wrapping::Widened(_)
+        | Wrapping::ByField(_)
+        | Wrapping::Arrow { .. } => Some(parse_like(scan, &scan.name, bytes)),
     }
 }
 
@@ -228,8 +241,13 @@ fn comes_back_as(file: &ScanFile, bytes: &[u8]) -> bool {
 /// damaged stream can cause; and the errors of `give`. Some pieces may have been passed on by then.
 pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
     records::check(file)?;
+    if let Wrapping::Arrow { is_wide, widenings } = &file.layout.wrapping {
+        give(&arrow::write(file, *is_wide, widenings)?)?;
+        return give(&file.suffix);
+    }
     give(&file.prefix)?;
     match &file.layout.wrapping {
+        Wrapping::Arrow { .. } => {}
         Wrapping::Plain => records::give(file, |block| give(block))?,
         Wrapping::PcdCompressed { lzf } => {
             give(&pcd_compressed::write(&records::join(file)?, &file.layout, *lzf)?)?;

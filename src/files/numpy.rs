@@ -13,7 +13,9 @@ const MOST_HEADER: usize = 1 << 20;
 
 /// The properties of the records according to the header.
 pub(super) struct Header {
+    /// Half-precision numbers are of type `u16` here.
     fields: Vec<Field>,
+    halves: Vec<bool>,
     /// Number of records, which may be wrong: the body decides.
     records: u64,
     is_big_endian: bool,
@@ -43,7 +45,7 @@ impl Header {
         let shape = entry("shape")?.numbers()?;
         let is_column_major = shape.len() > 1 && !matches!(entry("fortran_order")?, Literal::Word("False"));
         let mut orders = Orders::default();
-        let (fields, shape, is_named) = match entry("descr")? {
+        let (kinds, shape, is_named) = match entry("descr")? {
             Literal::Text(kind) => {
                 let (columns, shape) = shape.split_last().filter(|(_, rows)| !rows.is_empty())?;
                 let columns = usize::try_from(*columns)
@@ -51,10 +53,11 @@ impl Header {
                     .filter(|count| (FEWEST_COLUMNS..1 << 16).contains(count))?;
                 let kind = orders.kind(kind)?;
                 let names = usual_names(columns);
-                (names.iter().map(|name| kind.field(name, 1)).collect::<Option<Vec<_>>>()?, shape, false)
+                let field = |name: &String| Some((kind.field(name, 1)?, kind.is_half));
+                (names.iter().map(field).collect::<Option<Vec<_>>>()?, shape, false)
             }
             Literal::Sequence(parts) => {
-                let fields = parts.iter().map(|part| orders.field(part)).collect::<Option<Vec<_>>>()?;
+                let fields = parts.iter().map(|part| orders.field(part)).collect::<Option<_>>()?;
                 (fields, &shape[..], true)
             }
             _ => return None,
@@ -63,7 +66,8 @@ impl Header {
         let is_big_endian = orders.is_big_endian()?;
         // Structures are whole in either order; their own order is that of the file.
         let is_by_field = is_column_major && !is_named;
-        Some(Header { fields, records, is_big_endian, is_by_field, is_named, length })
+        let (fields, halves) = kinds.into_iter().unzip();
+        Some(Header { fields, halves, records, is_big_endian, is_by_field, is_named, length })
     }
 
     /// Whether an array in a folder, which was not named explicitly, looks like points: it names coordinates,
@@ -76,7 +80,11 @@ impl Header {
             false => {
                 self.records >= FEWEST_ROWS
                     && self.fields.len() <= MOST_COLUMNS
-                    && self.fields.iter().all(|field| field.scalar.is_float())
+                    && self
+                        .fields
+                        .iter()
+                        .zip(&self.halves)
+                        .all(|(f, is_half)| f.scalar.is_float() || *is_half)
             }
         }
     }
@@ -87,9 +95,9 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
     let layout = layout_of(header.fields, Wrapping::Plain)?;
     match (header.is_by_field, header.is_big_endian) {
-        (false, false) => widened::parse(layout, bytes, header.length, header.records),
+        (false, false) => widened::parse(layout, &header.halves, bytes, header.length, header.records),
         (false, true) => big_endian::parse(layout, bytes, header.length, header.records),
-        (true, false) => by_field::parse(layout, bytes, header.length, header.records),
+        (true, false) => by_field::parse(layout, &header.halves, bytes, header.length, header.records),
         (true, true) => None,
     }
 }
@@ -158,6 +166,7 @@ pub(super) fn header(fields: &[(&str, Scalar)], records: usize) -> Vec<u8> {
 struct Kind {
     scalar: Option<Scalar>,
     width: u32,
+    is_half: bool,
 }
 
 impl Kind {
@@ -189,6 +198,7 @@ impl Orders {
         let size: u32 = digits.parse().ok()?;
         let integers = |of_size: [Scalar; 4]| of_size.into_iter().find(|scalar| scalar.size() == size);
         let scalar = match letter {
+            'f' if size == 2 => Some(Scalar::U16),
             'f' if size == 4 => Some(Scalar::F32),
             'f' if size == 8 => Some(Scalar::F64),
             'i' => Some(integers([Scalar::I8, Scalar::I16, Scalar::I32, Scalar::I64])?),
@@ -198,7 +208,7 @@ impl Orders {
             // Bytes without a known meaning.
             'f' | 'c' | 'S' | 'a' | 'V' => None,
             // Characters of four bytes each.
-            'U' => return Some(Kind { scalar: None, width: size.checked_mul(4)? }),
+            'U' => return Some(Kind { scalar: None, width: size.checked_mul(4)?, is_half: false }),
             _ => return None,
         };
         match (order, scalar.filter(|scalar| scalar.size() > 1)) {
@@ -207,11 +217,12 @@ impl Orders {
             ('>', _) => self.big = true,
             _ => return None,
         }
-        Some(Kind { scalar, width: size })
+        Some(Kind { scalar, width: size, is_half: letter == 'f' && size == 2 })
     }
 
-    /// A field of a structure: its name, its type, and the shape of its values if it has several.
-    fn field(&mut self, part: &Literal) -> Option<Field> {
+    /// A field of a structure: its name, its type, and the shape of its values if it has several; and whether these are
+    /// half-precision numbers.
+    fn field(&mut self, part: &Literal) -> Option<(Field, bool)> {
         let Literal::Sequence(parts) = part else { return None };
         let (name, kind, shape) = match &parts[..] {
             [name, Literal::Text(kind)] => (name, kind, Vec::new()),
@@ -228,7 +239,8 @@ impl Orders {
             _ => return None,
         };
         let count = shape.iter().try_fold(1u64, |product, count| product.checked_mul(*count))?;
-        self.kind(kind)?.field(&field::with_underscores(name), u32::try_from(count).ok()?)
+        let kind = self.kind(kind)?;
+        Some((kind.field(&field::with_underscores(name), u32::try_from(count).ok()?)?, kind.is_half))
     }
 }
 
@@ -328,6 +340,26 @@ mod tests {
     }
 
     #[test]
+    fn half_precision_is_widened() {
+        let halves = [0x3c00u16, 0xc000, 0x4200, 0x3800, 0x7e01, 0x8000, 0x0001, 0xfbff];
+        let body: Vec<u8> = halves.iter().flat_map(|half| half.to_le_bytes()).collect();
+        let scan = comes_back("a.npy", array("'<f2'", "False", "(2, 4)", &body));
+        assert_eq!(scan.layout.wrapping, Wrapping::Widened(vec![Widening::Half; 4]));
+        assert_eq!((scan.cloud.positions[0], scan.cloud.intensity[0]), ([1.0, -2.0, 3.0], 0.5));
+        let by_column = comes_back("a.npy", array("'<f2'", "True", "(2, 4)", &body));
+        assert_eq!(by_column.cloud.positions[1][0], -2.0);
+        let fields = "[('x', '<f2'), ('y', '<f2'), ('z', '<f2'), ('ring', '<u2')]";
+        let scan = comes_back("a.npy", array(fields, "False", "(2,)", &body));
+        assert_eq!(scan.cloud.channel("ring").unwrap().bytes, [0x00, 0x38, 0xff, 0xfb]);
+        assert_eq!(scan.cloud.positions[1][2], 2f32.powi(-24));
+        let big: Vec<u8> = halves.iter().flat_map(|half| half.to_be_bytes()).collect();
+        let scan = comes_back("a.npy", array("'>f2'", "False", "(2, 4)", &big));
+        assert_eq!((scan.layout.wrapping, scan.layout.position), (Wrapping::BigEndian, None));
+        let many = array("'<f2'", "False", "(100, 4)", &[0; 800]);
+        assert!(starts_as_scan_of_folder("a.npy", &many));
+    }
+
+    #[test]
     fn tables_are_records_of_floats() {
         let body = floats(&[1.0, 2.0, 3.0, 0.5, 9.0, -1.0, -0.0, f32::NAN, 0.25, 8.0]);
         let scan = comes_back("a.npy", array("'<f4'", "False", "(2, 5)", &body));
@@ -393,7 +425,7 @@ mod tests {
             ("t", Scalar::I64, 1),
             ("n", Scalar::I16, 2),
             ("", Scalar::U8, 8),
-            ("", Scalar::U8, 2),
+            ("half", Scalar::F32, 1),
             ("ok", Scalar::U8, 1),
         ];
         assert_eq!(fields, expected);

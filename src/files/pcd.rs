@@ -34,7 +34,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     match data {
         Data::Binary => {
             let found = places::find(&fields, bytes.get(length..)?, points).unwrap_or_else(as_declared);
-            widened::parse(layout_of(found, Wrapping::Plain)?, bytes, length, points)
+            widened::parse(layout_of(found, Wrapping::Plain)?, &[], bytes, length, points)
         }
         Data::Compressed => pcd_compressed::parse(layout_of(as_declared(), Wrapping::Plain)?, bytes, length),
         Data::Ascii => text_records::parse(&fields, bytes, length, points),

@@ -24,7 +24,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
         Some(start + skip(element, header.encoding, bytes.get(start..)?)?)
     })?;
     match header.encoding {
-        Encoding::LittleEndian => widened::parse(layout, bytes, start, header.vertices),
+        Encoding::LittleEndian => widened::parse(layout, &[], bytes, start, header.vertices),
         Encoding::BigEndian => big_endian::parse(layout, bytes, start, header.vertices),
         Encoding::Ascii => text_records::parse(&header.fields, bytes, start, header.vertices),
     }

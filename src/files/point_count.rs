@@ -1,11 +1,13 @@
 //! Headers with another number of points.
 
-use super::{las, numpy};
+use super::{arrow, las, numpy};
 
 /// The header of a file, with everything before its points, changed to `points` points. Bytes that are not a
 /// header, or a header without a number of points, are returned unchanged.
 pub fn with_point_count(header: &[u8], points: usize) -> Vec<u8> {
-    let in_place = las::with_point_count(header, points).or_else(|| numpy::with_point_count(header, points));
+    let in_place = las::with_point_count(header, points)
+        .or_else(|| numpy::with_point_count(header, points))
+        .or_else(|| arrow::with_point_count(header, points));
     in_place.unwrap_or_else(|| with_count_in_lines(header, points))
 }
 

@@ -9,8 +9,8 @@ use super::names::{FileNames, NameConflict, check_name, is_safe_path, natural_cm
 use super::{EXTENSIONS, TELLING, is_scan_by_name, starts_as_scan_of_folder, times};
 use crate::ground::error::{Error, Limits, Result};
 
-/// Where KITTI and KITTI-360 store the scans of a drive, relative to its folder.
-const DRIVE_FOLDERS: [&str; 3] = ["velodyne_points/data", "velodyne", "data"];
+/// Where KITTI, KITTI-360 and Argoverse 2 store the scans of a drive, relative to its folder.
+const DRIVE_FOLDERS: [&str; 4] = ["velodyne_points/data", "sensors/lidar", "velodyne", "data"];
 /// The customary extension of streams.
 pub const STREAM_EXTENSION: &str = "lpc";
 
@@ -482,7 +482,7 @@ mod tests {
 
     #[test]
     fn a_drive_gives_the_scans_below_it() {
-        for data in ["velodyne_points/data", "velodyne", "data", "deep/er"] {
+        for data in ["velodyne_points/data", "sensors/lidar", "velodyne", "data", "deep/er"] {
             let dir = folder(&[&format!("{data}/0.bin"), "oxts/data/0.txt", "timestamps.txt"]);
             let found = find(&dir, &[""]).unwrap();
             assert_eq!(found.frames[0].path, dir.path().join(data).join("0.bin"));

@@ -69,17 +69,17 @@ fn of_line(line: &str) -> Option<i64> {
 }
 
 /// The time of a scan, if its name contains exactly one number that is nanoseconds (19 digits) or
-/// microseconds (16 digits) in a year from 2001 to 2099.
+/// microseconds (16 digits) in a year from 2001 to 2099, or nanoseconds of Argoverse's clock (18 digits), which begin in 1980.
 pub fn of_name(name: &str) -> Option<Found> {
     let runs = name.split(|letter: char| !letter.is_ascii_digit());
     let times = runs.filter_map(|digits| {
         let number: i64 = digits.parse().ok()?;
         let nanoseconds = match digits.len() {
-            19 => number,
+            18 | 19 => number,
             16 => number * 1000,
             _ => return None,
         };
-        (1_000_000_000_000_000_000..4_102_444_800_000_000_000).contains(&nanoseconds).then_some(nanoseconds)
+        (315_532_800_000_000_000..4_102_444_800_000_000_000).contains(&nanoseconds).then_some(nanoseconds)
     });
     match &times.collect::<Vec<_>>()[..] {
         [nanoseconds] => Some(Found { nanoseconds: *nanoseconds, is_listed: false }),
@@ -106,8 +106,11 @@ mod tests {
         let time = |name| of_name(name).map(|found| found.nanoseconds);
         assert_eq!(time("1566246592875153456.bin"), Some(1_566_246_592_875_153_456));
         assert_eq!(time("n015__LIDAR_TOP__1532402927647951.pcd.bin"), Some(1_532_402_927_647_951_000));
+        assert_eq!(time("PC_315966265259836000.ply"), Some(315_966_265_259_836_000));
         for odd in [
             "0000000000.bin",
+            "000000000000000001.bin",
+            "123456789012345678.bin",
             "0000000000000000001.bin",
             "9999999999999999999.bin",
             "a.bin",

@@ -1,5 +1,5 @@
 //! Records whose doubles are made from float32 or from few digits, as written by programs that compute in double
-//! precision, and records with 16-bit integers in place of coordinates. FORMAT.md 9.
+//! precision, and records with half-precision numbers, or with 16-bit integers in place of coordinates. FORMAT.md 9.
 
 use std::fmt::Write;
 
@@ -7,14 +7,21 @@ use super::field::{is_coordinate, is_intensity, layout_of};
 use super::number::{self, NumberWriter};
 use super::records::Parts;
 use crate::ground::error::{Error, Result};
+use crate::ground::rounding::round_ties_even;
 use crate::scan::{Axis, Column, Field, Layout, NumberRule, Scalar, ScanFile, Widening, Wrapping};
 
 /// Splits a file as [`plain_file`](super::records::plain_file) does, but doubles that float32 determines become
-/// float32: x, y and z only all three.
-pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, count: u64) -> Option<ScanFile> {
+/// float32: x, y and z only all three. So do the `u16` of fields that `halves` says are half-precision numbers.
+pub(super) fn parse(
+    layout: Layout,
+    halves: &[bool],
+    bytes: &[u8],
+    start: usize,
+    count: u64,
+) -> Option<ScanFile> {
     layout.validate().ok()?;
     let parts = Parts::of(bytes, start, layout.stride(), count)?;
-    let Some(Narrowed { fields, widenings, body }) = narrowed(&layout.fields, parts.body) else {
+    let Some(Narrowed { fields, widenings, body }) = narrowed(&layout.fields, halves, parts.body) else {
         return Some(parts.file(layout, parts.body));
     };
     Some(parts.file(layout_of(fields, Wrapping::Widened(widenings))?, &body))
@@ -39,26 +46,31 @@ pub(super) fn parse_steps(axis: Axis, others: &[Field], bytes: &[u8]) -> Option<
     Some(parts.file(layout_of(fields, Wrapping::Widened(widenings))?, &body))
 }
 
-/// Records with float32 in place of doubles.
+/// Records with float32 in place of doubles and halves.
 pub(super) struct Narrowed {
     /// The fields of the records.
     pub fields: Vec<Field>,
-    /// For each field, whether and how the file has doubles instead.
+    /// For each field, whether and how the file has others instead.
     pub widenings: Vec<Widening>,
     /// The records.
     pub body: Vec<u8>,
 }
 
-/// Complete records with float32 in place of doubles that float32 determines; `None` if there are none. The layout
-/// of the fields must be valid.
-pub(super) fn narrowed(fields: &[Field], body: &[u8]) -> Option<Narrowed> {
-    let widenings = widenings(fields, body);
+/// Complete records with float32 in place of doubles that float32 determines, and of the `u16` of `halves`; `None` if
+/// there are none. The layout of the fields must be valid.
+pub(super) fn narrowed(fields: &[Field], halves: &[bool], body: &[u8]) -> Option<Narrowed> {
+    let mut widenings = widenings(fields, body);
+    widenings
+        .iter_mut()
+        .zip(halves)
+        .filter(|(_, is_half)| **is_half)
+        .for_each(|(to, _)| *to = Widening::Half);
     if body.is_empty() || widenings.iter().all(|widening| *widening == Widening::None) {
         return None;
     }
     let scalar = |(field, widening): (&Field, &Widening)| match widening {
         Widening::None => field.clone(),
-        Widening::Exact | Widening::Decimal(_) | Widening::Steps(_) => {
+        Widening::Exact | Widening::Half | Widening::Decimal(_) | Widening::Steps(_) => {
             Field { scalar: Scalar::F32, ..field.clone() }
         }
     };
@@ -70,6 +82,7 @@ pub(super) fn narrowed(fields: &[Field], body: &[u8]) -> Option<Narrowed> {
             rest = after;
             match widening {
                 Widening::None => narrowed.extend_from_slice(own),
+                Widening::Half => own.as_chunks().0.iter().for_each(|half| narrowed.extend(single(half))),
                 // Doubles never become steps.
                 Widening::Exact | Widening::Decimal(_) | Widening::Steps(_) => {
                     own.as_chunks().0.iter().for_each(|value| narrowed.extend(narrow(value)));
@@ -172,6 +185,40 @@ fn widen(value: &[u8; 4]) -> [u8; 8] {
     wide.to_le_bytes()
 }
 
+/// The float32 equal to a half-precision number, with the same payload if it is NaN.
+fn single(half: &[u8; 2]) -> [u8; 4] {
+    let bits = u32::from(u16::from_le_bytes(*half));
+    let (sign, exponent, fraction) = (bits >> 15 << 31, bits >> 10 & 31, bits & 0x3ff);
+    let magnitude = match exponent {
+        0 => (fraction as f32 / 16_777_216.0).to_bits(),
+        31 => 0xff << 23 | fraction << 13,
+        _ => exponent + 112 << 23 | fraction << 13,
+    };
+    (sign | magnitude).to_le_bytes()
+}
+
+/// The half-precision number nearest to a float32; of two that are as near, the even one.
+fn half(value: &[u8; 4]) -> [u8; 2] {
+    /// From here on, numbers are rounded to infinity.
+    const INFINITE: f32 = 65520.0;
+    let bits = u32::from_le_bytes(*value);
+    let (sign, magnitude) = (bits >> 31 << 15, f32::from_bits(bits & !(1 << 31)));
+    let half = if magnitude.is_nan() {
+        let fraction = bits >> 13 & 0x3ff;
+        0x7c00 | if fraction == 0 { 0x200 } else { fraction }
+    } else if magnitude >= INFINITE {
+        0x7c00
+    } else if magnitude < 1.0 / 16384.0 {
+        // All numbers are multiples of 2^-24. The largest rounds to the first that is not subnormal, as it should.
+        round_ties_even((magnitude * 16_777_216.0).into()) as u32
+    } else {
+        let bits = magnitude.to_bits();
+        let odd = bits >> 13 & 1;
+        (bits + 0xfff + odd >> 13) - (112 << 10)
+    };
+    ((sign | half) as u16).to_le_bytes()
+}
+
 /// Widens float32 by way of text; holds the buffers.
 #[derive(Default)]
 struct Decimals {
@@ -211,6 +258,7 @@ pub(super) fn write(body: &[u8], layout: &Layout, widenings: &[Widening]) -> Res
             match widening {
                 Widening::None => out.extend_from_slice(own),
                 Widening::Exact => own.as_chunks().0.iter().for_each(|value| out.extend(widen(value))),
+                Widening::Half => own.as_chunks().0.iter().for_each(|value| out.extend(half(value))),
                 Widening::Decimal(rule) => {
                     for value in own.as_chunks().0 {
                         out.extend(decimals.widen(value, *rule)?);
@@ -283,6 +331,31 @@ mod tests {
         assert_eq!((scan.records, scan.layout.stride(), scan.suffix.len()), (2, 3 * 4 + 2 * 4 + 8, 4));
         assert_eq!(scan.cloud.positions[0], [1.5, -0.0, f32::INFINITY]);
         assert_eq!(scan.cloud.channel("time").unwrap().field.scalar, Scalar::F64);
+    }
+
+    #[test]
+    fn every_half_is_a_single() {
+        use super::{half, single};
+        for bits in 0..=u16::MAX {
+            let wide = single(&bits.to_le_bytes());
+            assert_eq!(half(&wide), bits.to_le_bytes(), "{bits:#x}");
+        }
+        let value = |bits: u16| f32::from_le_bytes(single(&bits.to_le_bytes()));
+        assert_eq!([0x3c00, 0xc500, 0x7bff, 1].map(value), [1.0, -5.0, 65504.0, 2f32.powi(-24)]);
+        assert_eq!([0x0400, 0x03ff, 0x8000].map(value), [2f32.powi(-14), 1023.0 * 2f32.powi(-24), 0.0]);
+        assert!(value(0x7c00).is_infinite() && value(0x7e01).is_nan());
+        // Between two halves, the nearest, and midway the even one.
+        for bits in 0..0x7bff {
+            let middle = (value(bits) + value(bits + 1)) / 2.0;
+            let even = bits + bits % 2;
+            let nearest = [middle.next_down(), middle, middle.next_up()].map(|v| half(&v.to_le_bytes()));
+            assert_eq!(nearest, [bits, even, bits + 1].map(u16::to_le_bytes), "{bits:#x}");
+        }
+        let rounded =
+            [65519.99, 65520.0, 1e9, -1e9, 1e-9].map(|v: f32| u16::from_le_bytes(half(&v.to_le_bytes())));
+        assert_eq!(rounded, [0x7bff, 0x7c00, 0x7c00, 0xfc00, 0]);
+        // A NaN stays one, even if half precision has no room for its payload.
+        assert_eq!(half(&0xff80_0001u32.to_le_bytes()), 0xfe00u16.to_le_bytes());
     }
 
     #[test]

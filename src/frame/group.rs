@@ -127,10 +127,9 @@ impl<'s> GroupEncoder<'s> {
 fn file_rounding_um(scan: &ScanFile) -> u32 {
     let is_rounded = match &scan.layout.wrapping {
         Wrapping::Text(_) | Wrapping::Scaled(_) => true,
-        Wrapping::Widened(widenings) | Wrapping::ByField(widenings) => {
-            let is_rounded =
-                |widening: &Widening| matches!(widening, Widening::Decimal(_) | Widening::Steps(_));
-            widenings.iter().any(is_rounded)
+        Wrapping::Widened(widenings) | Wrapping::ByField(widenings) | Wrapping::Arrow { widenings, .. } => {
+            let is_exact = |widening: &Widening| matches!(widening, Widening::None | Widening::Exact);
+            !widenings.iter().all(is_exact)
         }
         Wrapping::Plain | Wrapping::PcdCompressed { .. } | Wrapping::BigEndian => false,
     };

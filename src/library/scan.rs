@@ -90,7 +90,7 @@ impl Scan {
     }
 
     /// A file, given its name and bytes. The extension determines its format (`.bin`, `.pcd.bin`, `.pcd`,
-    /// `.ply`, `.las`, `.csv`, `.txt`, `.xyz`, `.npy`). A file of any other kind is a scan without points.
+    /// `.ply`, `.las`, `.csv`, `.txt`, `.xyz`, `.npy`, `.feather`). A file of any other kind is a scan without points.
     pub fn from_file(name: &str, bytes: Vec<u8>) -> Self {
         Scan::of_parts(files::parse(name, bytes), Stamp::default())
     }

@@ -81,6 +81,14 @@ pub enum Wrapping {
     /// Field by field (`.npy` in column-major order), with doubles in place of the float32 values of some
     /// fields, as in `Widened`.
     ByField(Vec<Widening>),
+    /// Field by field in batches (Arrow), with other numbers in place of the float32 values of some fields, as in
+    /// `Widened`.
+    Arrow {
+        /// Whether the fields begin at multiples of 64 bytes, rather than of 8.
+        is_wide: bool,
+        /// For each field, how its values are stored.
+        widenings: Vec<Widening>,
+    },
 }
 
 /// How the values of a field are stored in the file.
@@ -95,6 +103,8 @@ pub enum Widening {
     Decimal(NumberRule),
     /// A float32 as the nearest 16-bit integer of this axis.
     Steps(Axis),
+    /// A float32 as the nearest half-precision number.
+    Half,
 }
 
 /// How a coordinate is computed from an integer: `integer / per_metre + offset`, in double precision, then
@@ -160,6 +170,7 @@ const BIG_ENDIAN: u8 = 3;
 const SCALED: u8 = 4;
 const WIDENED: u8 = 5;
 const BY_FIELD: u8 = 6;
+const ARROW: u8 = 7;
 
 impl Layout {
     /// Number of bytes in a record; 0 if the file holds no records.
@@ -234,17 +245,19 @@ impl Layout {
                 check(self.position.is_some(), "no coordinates to scale")?;
                 check(axes.iter().all(Axis::is_valid), INVALID_AXIS)
             }
-            Wrapping::Widened(widened) | Wrapping::ByField(widened) => {
+            Wrapping::Widened(widened)
+            | Wrapping::ByField(widened)
+            | Wrapping::Arrow { widenings: widened, .. } => {
                 let is_by_record = matches!(self.wrapping, Wrapping::Widened(_));
                 let suit = |(field, widening): (&Field, &Widening)| match widening {
                     Widening::None => true,
-                    Widening::Exact => field.scalar == Scalar::F32,
+                    Widening::Exact | Widening::Half => field.scalar == Scalar::F32,
                     Widening::Decimal(rule) => field.scalar == Scalar::F32 && rule.suits(Scalar::F32),
                     Widening::Steps(_) => field.scalar == Scalar::F32 && is_by_record,
                 };
                 let is_valid = |widening: &Widening| match widening {
                     Widening::Steps(axis) => axis.is_valid(),
-                    Widening::None | Widening::Exact | Widening::Decimal(_) => true,
+                    Widening::None | Widening::Exact | Widening::Decimal(_) | Widening::Half => true,
                 };
                 check(widened.iter().all(is_valid), INVALID_AXIS)?;
                 check(widened.len() == self.fields.len(), "another number of widened fields")?;
@@ -288,6 +301,7 @@ impl Layout {
             Wrapping::Scaled(_) => SCALED,
             Wrapping::Widened(_) => WIDENED,
             Wrapping::ByField(_) => BY_FIELD,
+            Wrapping::Arrow { .. } => ARROW,
         });
         write_unsigned(out, self.fields.len() as u64);
         for field in &self.fields {
@@ -304,21 +318,10 @@ impl Layout {
             Wrapping::Plain | Wrapping::BigEndian => {}
             Wrapping::PcdCompressed { lzf } => out.push(*lzf as u8),
             Wrapping::Text(format) => format.write_to(out),
-            Wrapping::Widened(widened) | Wrapping::ByField(widened) => {
-                for widening in widened {
-                    match widening {
-                        Widening::None => out.push(0),
-                        Widening::Exact => out.push(1),
-                        Widening::Decimal(rule) => {
-                            let (rule, parameter) = rule.to_bytes();
-                            out.extend([2, rule, parameter]);
-                        }
-                        Widening::Steps(axis) => {
-                            out.push(3);
-                            axis.write_to(out);
-                        }
-                    }
-                }
+            Wrapping::Widened(widenings) | Wrapping::ByField(widenings) => write_widenings(widenings, out),
+            Wrapping::Arrow { is_wide, widenings } => {
+                out.push((*is_wide).into());
+                write_widenings(widenings, out);
             }
             Wrapping::Scaled(axes) => {
                 axes.iter().for_each(|axis| axis.write_to(out));
@@ -357,6 +360,14 @@ impl Layout {
             SCALED => Wrapping::Scaled([read_axis(input)?, read_axis(input)?, read_axis(input)?]),
             WIDENED => Wrapping::Widened(read_widenings(input, fields.len())?),
             BY_FIELD => Wrapping::ByField(read_widenings(input, fields.len())?),
+            ARROW => Wrapping::Arrow {
+                is_wide: match read_byte(input)? {
+                    0 => false,
+                    1 => true,
+                    _ => return Err(Error::corrupt("record layout: unknown alignment")),
+                },
+                widenings: read_widenings(input, fields.len())?,
+            },
             _ => return Err(Error::corrupt("record layout: unknown wrapping")),
         };
         let layout = Layout { wrapping, fields, position, intensity };
@@ -382,6 +393,24 @@ fn read_dialect(input: &mut &[u8]) -> Result<LzfDialect> {
     dialect.copied().ok_or_else(|| Error::corrupt("record layout: unknown LZF dialect"))
 }
 
+fn write_widenings(widenings: &[Widening], out: &mut Vec<u8>) {
+    for widening in widenings {
+        match widening {
+            Widening::None => out.push(0),
+            Widening::Exact => out.push(1),
+            Widening::Decimal(rule) => {
+                let (rule, parameter) = rule.to_bytes();
+                out.extend([2, rule, parameter]);
+            }
+            Widening::Steps(axis) => {
+                out.push(3);
+                axis.write_to(out);
+            }
+            Widening::Half => out.push(4),
+        }
+    }
+}
+
 fn read_widenings(input: &mut &[u8], count: usize) -> Result<Vec<Widening>> {
     let widening = |_| match read_byte(input)? {
         0 => Ok(Widening::None),
@@ -390,6 +419,7 @@ fn read_widenings(input: &mut &[u8], count: usize) -> Result<Vec<Widening>> {
             .map(Widening::Decimal)
             .ok_or_else(|| Error::corrupt("record layout: unknown number rule")),
         3 => read_axis(input).map(Widening::Steps),
+        4 => Ok(Widening::Half),
         _ => Err(Error::corrupt("record layout: unknown widening")),
     };
     (0..count).map(widening).collect()

@@ -135,6 +135,18 @@ pub fn npy_doubles(points: &[[f32; 4]]) -> Vec<u8> {
     npy_table(points, "False", |values| values.as_flattened().to_vec())
 }
 
+/// A NumPy table in half precision: x, y, z, intensity, with the last bits cut off.
+pub fn npy_halves(points: &[[f32; 4]]) -> Vec<u8> {
+    let header = format!("{{'descr': '<f2', 'fortran_order': False, 'shape': ({}, 4), }}\n", points.len());
+    let half = |value: &f32| {
+        let bits = value.to_bits();
+        let magnitude = (bits >> 13 & 0x3_ffff).saturating_sub(112 << 10);
+        ((bits >> 31 << 15 | magnitude) as u16).to_le_bytes()
+    };
+    let body: Vec<u8> = points.as_flattened().iter().flat_map(half).collect();
+    [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), &body].concat()
+}
+
 /// The same, column by column, as pandas stores it, with coordinates that were read from text of eight digits.
 pub fn npy_by_column(points: &[[f32; 4]]) -> Vec<u8> {
     npy_table(points, "True", |values| {

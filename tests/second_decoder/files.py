@@ -4,7 +4,9 @@ import struct
 from fractions import Fraction
 from math import isfinite, isnan
 
-from layout import BIG_ENDIAN, BY_FIELD, CRLF, F32, FIXED, INTEGER, OPEN_END, PCD_COMPRESSED, SCALED, SCIENTIFIC, Axis
+import arrow
+from layout import ARROW, BIG_ENDIAN, BY_FIELD, CRLF, F32, FIXED, HALF, INTEGER, OPEN_END, PCD_COMPRESSED, SCALED
+from layout import SCIENTIFIC, Axis
 from layout import SEPARATOR_FLAGS, SEPARATORS, SIGNIFICANT, SPACE_AFTER, TEXT, TRAILING_SEPARATOR, TYPES, WIDENED
 from models import clamp, f32, to_int
 from scanner import float_of_bits
@@ -32,6 +34,14 @@ def records_of(layout, n, positions, intensities, channels):
     for field, values in zip(layout.channels, channels):
         fill(field, values)
     return bytes(data)
+
+
+def file_of(layout, prefix, records, suffix):
+    """The bytes of a file."""
+    if layout.wrapping == ARROW:
+        columns = [stored(values_of(field, layout, records), w) for field, w in zip(layout.fields, layout.widened)]
+        return arrow.file_of(prefix, columns, len(records) // layout.stride, layout.is_wide) + suffix
+    return prefix + wrapped(layout, records) + suffix
 
 
 def wrapped(layout, records):
@@ -84,19 +94,33 @@ def widened(layout, records):
     out = bytearray()
     for start in range(0, len(records), layout.stride):
         for field, widening in zip(layout.fields, layout.widened):
-            own = records[start + field.offset :][: field.width]
-            if isinstance(widening, Axis):
-                out += shorts(own, widening)
-            else:
-                out += doubles(own, *widening) if widening else own
+            out += stored(records[start + field.offset :][: field.width], widening)
     return bytes(out)
+
+
+def stored(values, widening):
+    """The bytes of a field as the file has them."""
+    if isinstance(widening, Axis):
+        return shorts(values, widening)
+    if widening == HALF:
+        return b"".join(map(half, struct.unpack(f"<{len(values) // 4}I", values)))
+    return doubles(values, *widening) if widening else values
+
+
+def half(bits):
+    """The bytes of the half-precision number nearest to this float32."""
+    value = float_of_bits(bits)
+    if isnan(value):
+        return struct.pack("<H", bits >> 31 << 15 | 0x7C00 | (bits >> 13 & 0x3FF or 0x200))
+    if abs(value) >= 65520.0:
+        return struct.pack("<H", bits >> 31 << 15 | 0x7C00)
+    return struct.pack("<e", value)
 
 
 def by_field(layout, records):
     out = bytearray()
     for field, widening in zip(layout.fields, layout.widened):
-        values = values_of(field, layout, records)
-        out += doubles(values, *widening) if widening else values
+        out += stored(values_of(field, layout, records), widening)
     return bytes(out)
 
 

@@ -234,7 +234,7 @@ class Decoder:
                 raise Refused("no channel of the frame")
             order, stride = in_sorted_order(channels[number], layout.channels[number].width), layout.stride
             found = b"".join(found[record * stride : (record + 1) * stride] for record in order)
-        return prefix + files.wrapped(layout, found) + suffix
+        return files.file_of(layout, prefix, found, suffix)
 
     def points_of(self, layout, parameters, records, strays):
         """What there is of rows, columns, positions and intensities, in the order of the file."""

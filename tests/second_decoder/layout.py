@@ -8,7 +8,7 @@ from unicodedata import category
 from container import Reader
 from errors import Refused
 
-PLAIN, PCD_COMPRESSED, TEXT, BIG_ENDIAN, SCALED, WIDENED, BY_FIELD = range(7)
+PLAIN, PCD_COMPRESSED, TEXT, BIG_ENDIAN, SCALED, WIDENED, BY_FIELD, ARROW = range(8)
 # By the numbers of the types, their letters in the module `struct`.
 TYPES = "bBhHiIqQfd"
 I8, U8, I16, U16, I32, U32, I64, U64, F32, F64 = range(10)
@@ -23,6 +23,7 @@ DIALECTS = ((13, 1, 1), (16, 1, 1), (16, 5, 2))
 
 
 Axis = namedtuple("Axis", "per_metre offset")
+HALF = "half"
 
 
 class Field:
@@ -87,7 +88,11 @@ class Layout:
             self.axes = [self.read_axis(reader) for _ in range(3)]
             if not self.position:
                 raise Refused("no coordinates to scale")
-        elif self.wrapping in (WIDENED, BY_FIELD):
+        elif self.wrapping in (WIDENED, BY_FIELD, ARROW):
+            if self.wrapping == ARROW:
+                self.is_wide = reader.unsigned(1)
+                if self.is_wide > 1:
+                    raise Refused("an Arrow file of unknown alignment")
             self.widened = [self.read_widening(reader, field) for field in self.fields]
         elif self.wrapping not in (PLAIN, BIG_ENDIAN):
             raise Refused("unknown wrapping")
@@ -111,10 +116,12 @@ class Layout:
         return axis
 
     def read_widening(self, reader, field):
-        """None, or the rule and its parameter, where rule is None for the same number; for steps, `per_metre` and `offset`."""
+        """None; HALF; the rule and its parameter, where rule is None for the same number; for steps, `per_metre` and `offset`."""
         widening = reader.unsigned(1)
-        if widening > (3 if self.wrapping == WIDENED else 2) or widening and field.kind != F32:
+        if widening > 4 or widening == 3 and self.wrapping != WIDENED or widening and field.kind != F32:
             raise Refused("a widened field of another type")
+        if widening == 4:
+            return HALF
         if widening == 3:
             return self.read_axis(reader)
         if widening < 2:
