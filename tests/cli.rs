@@ -937,8 +937,8 @@ fn what_cannot_be_converted_is_named() {
     let bench = Bench::encoded();
     // A file without points is written as it was.
     let said = bench.says("decode out.lpc -o converted --format ply");
-    // Which of the two is named depends on which thread comes first.
-    assert!(said.contains("2 files without points, such as "), "{said}");
+    assert!(said.contains("2 files without points, such as damaged.pcd: not converted"), "{said}");
+    assert!(said.contains("converted: 10 frames: "), "{said}");
     assert_eq!(bench.files("converted")["damaged.pcd"], bench.files("seq")["damaged.pcd"]);
     let same: Files = [("a.bin", scan(4, 1)), ("a.pcd.bin", scan(5, 1))]
         .map(|(name, bytes)| (name.to_owned(), bytes))
@@ -1391,6 +1391,9 @@ fn what_is_intact_of_a_damaged_file_is_saved() {
     bench.ok("decode good.lpc -o again");
     assert_eq!(bench.files("again"), left);
     bench.ok("decode out.lpc -o whole --keep-going");
+    fs::write(bench.path("empty.lpc"), b"").unwrap();
+    let error = bench.fails("decode empty.lpc -o none --keep-going", "empty.lpc");
+    assert!(error.contains("nothing of it can be saved") && !error.contains("--keep-going"), "{error}");
     assert_eq!(bench.files("whole"), odd_files());
     // Frames can also be recovered from a pipe.
     let run = bench.command("decode - -o piped --keep-going").write_stdin(bytes).assert().code(3);

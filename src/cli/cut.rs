@@ -35,7 +35,7 @@ pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
     recording::refuse("cut", inputs, "encode its clouds to FILE.lpc, and cut that");
     let input = open(&args.input)?;
     keep_inputs(&args.output, inputs)?;
-    let frames = chosen_frames("cut", &args.input, args.frames, args.time, args.limits.limits())?;
+    let frames = chosen_frames("cut", &args.input, (args.frames, args.time), args.limits.limits(), quiet)?;
     let mut output = FileOutput::binary(&args.output, args.force)?;
     let name = name_of_output(&args.output);
     let cut = write_stream(args, input, frames, &mut output).map_err(|error| about(error, &name))?;

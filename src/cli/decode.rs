@@ -40,8 +40,10 @@ struct Report {
 impl Report {
     /// The report in a line.
     fn summary(&self) -> String {
+        let Report { folder, file_bytes, seconds, .. } = self;
+        let folder = folder.replace(char::is_control, "?");
         let frames = table::frames_and_files(self.frames, self.files_beside);
-        format!("{frames}: {} in {:.1} s", table::bytes(self.file_bytes), self.seconds)
+        format!("{folder}: {frames}: {} in {seconds:.1} s", table::bytes(*file_bytes))
     }
 }
 
@@ -65,7 +67,7 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
-        frames: chosen_frames("decode", first, args.frames, args.time, args.limits.limits())?,
+        frames: chosen_frames("decode", first, (args.frames, args.time), args.limits.limits(), quiet)?,
         ..DecodeOptions::default()
     };
     let converter = Converter::new(args.format);
@@ -160,24 +162,29 @@ fn output_of(args: &DecodeArgs) -> PathBuf {
     }
 }
 
-/// The frames selected by `--frames` or `--time`; all without these.
+/// The frames selected by `--frames` or `--time`; all without these. Tells how many are left out because they have no time.
 ///
 /// # Errors
 /// If there is no frame at that time, or if the times cannot be read.
 pub fn chosen_frames(
     subcommand: &str,
     path: &Path,
-    frames: Option<FrameRange>,
-    time: Option<TimeRange>,
+    (frames, time): (Option<FrameRange>, Option<TimeRange>),
     limits: Limits,
+    quiet: bool,
 ) -> Result<FrameRange> {
     let Some(time) = time else { return Ok(frames.unwrap_or_default()) };
     let Input::File(file) = open(path)? else {
         wrong_usage(subcommand, "--time needs a file that can be sought in; choose by --frames");
     };
     let reader = IndexedReader::open(BufReader::new(file), limits);
-    let range = reader.and_then(|reader| time.frames(reader.index()));
-    range.map_err(|error| about(error, &name_of(path)))
+    let found = reader.and_then(|reader| time.frames(reader.index()));
+    let (range, untimed) = found.map_err(|error| about(error, &name_of(path)))?;
+    if untimed > 0 && !quiet {
+        let frames = table::count(untimed, "frame");
+        eprintln!("lidarpc: {}: left out {frames} without a time; --frames chooses by number", name_of(path));
+    }
+    Ok(range)
 }
 
 /// Decodes as the arguments say: all frames or an error, or the intact ones. Calls `work` on each frame, and
@@ -261,8 +268,8 @@ pub struct Converter {
     format: Option<FileFormat>,
     /// The frames' own names, by the names of the written files.
     names: Mutex<HashMap<String, String>>,
-    /// Files without points, which cannot be converted: their number, and the name of the first.
-    pointless: Mutex<(u64, Option<String>)>,
+    /// Files without points, which cannot be converted: their number, and the number and name of the first frame of them.
+    pointless: Mutex<(u64, Option<(u64, String)>)>,
 }
 
 impl Converter {
@@ -274,7 +281,7 @@ impl Converter {
     /// Tells how many files were not converted.
     pub fn tell(&self, quiet: bool) {
         let pointless = self.pointless.lock().unwrap_or_else(PoisonError::into_inner);
-        if let ((count, Some(first)), false) = (&*pointless, quiet) {
+        if let ((count, Some((_, first))), false) = (&*pointless, quiet) {
             let first = first.replace(char::is_control, "?");
             let files = table::count(*count, "file");
             eprintln!(
@@ -299,7 +306,8 @@ impl Converter {
         let file = if !is_convertible(&frame.scan) {
             let mut pointless = self.pointless.lock().unwrap_or_else(PoisonError::into_inner);
             pointless.0 += 1;
-            pointless.1.get_or_insert_with(|| name.clone());
+            let this = (frame.number, name.clone());
+            pointless.1 = Some(pointless.1.take().map_or(this.clone(), |first| first.min(this)));
             File::Original(Box::new(frame))
         } else {
             let DecodedFrame { number, mut scan, .. } = frame;

@@ -15,11 +15,12 @@ pub struct TimeRange {
 }
 
 impl TimeRange {
-    /// The frames in this range of times, from the first to the last.
+    /// The frames in this range of times, from the first to the last, and the number of frames before and after them that
+    /// have no time.
     ///
     /// # Errors
     /// If no frame has a time, or none is in the range.
-    pub fn frames(&self, index: &Index) -> Result<FrameRange> {
+    pub fn frames(&self, index: &Index) -> Result<(FrameRange, u64)> {
         let frames =
             || index.groups.iter().flat_map(|group| &group.frames).filter(|frame| !frame.is_beside());
         let time = |frame: &FrameEntry| frame.stamp.time.map(|time| time.nanoseconds);
@@ -41,7 +42,10 @@ impl TimeRange {
                 "holds no frame of that time; its times go from 0 to {seconds:.3} s"
             )));
         };
-        Ok(FrameRange { start, end: Some(last + 1) })
+        let untimed = (0u64..)
+            .zip(frames())
+            .filter(|(number, frame)| !(start..=last).contains(number) && time(frame).is_none());
+        Ok((FrameRange { start, end: Some(last + 1) }, untimed.count() as u64))
     }
 }
 
@@ -110,11 +114,12 @@ mod tests {
         let mut index = Index::default();
         index.groups = vec![entry(0, &[None, Some(0), Some(1)]), entry(3, &[Some(2), None, Some(4)])];
         let frames = |text: &str| {
-            text.parse::<TimeRange>().unwrap().frames(&index).map(|range| (range.start, range.end))
+            let found = text.parse::<TimeRange>().unwrap().frames(&index);
+            found.map(|(range, untimed)| (range.start, range.end, untimed))
         };
-        assert_eq!(frames("0.1..0.3").unwrap(), (2, Some(4)));
-        assert_eq!(frames("0.2..").unwrap(), (3, Some(6)));
-        assert_eq!(frames("..1").unwrap(), (1, Some(6)));
+        assert_eq!(frames("0.1..0.3").unwrap(), (2, Some(4), 2));
+        assert_eq!(frames("0.2..").unwrap(), (3, Some(6), 1));
+        assert_eq!(frames("..1").unwrap(), (1, Some(6), 1));
         assert!(frames("7s..8s").unwrap_err().to_string().contains("from 0 to 0.400 s"));
         let none = "..1".parse::<TimeRange>().unwrap().frames(&Index::default());
         assert!(none.unwrap_err().to_string().contains("no times"));

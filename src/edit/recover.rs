@@ -7,7 +7,7 @@ use std::ops::Range;
 use super::copier::{GroupCopier, Named};
 use crate::container::{Group, Lost, SalvageReader, Salvaged};
 use crate::frame::settings::resolve_threads;
-use crate::ground::error::{Limits, Result};
+use crate::ground::error::{Error, Limits, Result};
 use crate::stream::decoder::{DecodedFrame, decode_group};
 use crate::stream::options::{DecodeOptions, FrameRange};
 use crate::stream::ordered::run_ordered;
@@ -107,7 +107,10 @@ struct RecoveredGroups<R> {
 
 impl<R: Read + Seek> RecoveredGroups<R> {
     fn open(input: R, limits: &Limits, range: FrameRange) -> Result<Self> {
-        let reader = SalvageReader::open(input, *limits)?;
+        let reader = SalvageReader::open(input, *limits).map_err(|error| match error {
+            Error::Corrupt { what, .. } => Error::Usage(format!("{what}; nothing of it can be saved")),
+            other => other,
+        })?;
         Ok(RecoveredGroups { reader, scanners: UsedScanners::default(), range, known: HashSet::new() })
     }
 
