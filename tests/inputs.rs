@@ -6,9 +6,10 @@
 use std::fs;
 use std::process::{Command as Process, Stdio};
 
+use crate::common::in_package;
 use crate::program::{Bench, Files, odd_files, scan};
 use assert_cmd::cargo::cargo_bin;
-use lidarpc::internals::files::parse;
+use lidarpc::internals::files::{parse, with_point_count};
 use lidarpc::internals::scan::{LzfDialect, Wrapping};
 use serde_json::Value;
 
@@ -534,6 +535,18 @@ fn bombs() -> Files {
     unfolds.prefix = pcd("binary_compressed", zeros, b"");
     let unfolds = unfolds.to_bytes().unwrap();
     assert!(unfolds.len() < 100_000);
+    // Nearly as bad, as LZ4 would.
+    let vector = fs::read(in_package("testdata/vectors/pyarrow.lz4.feather")).unwrap();
+    let mut feather = parse("0.feather", vector);
+    feather.records = 1_500_000;
+    feather.prefix = with_point_count(&feather.prefix, feather.records);
+    feather.cloud.positions = vec![[0.0; 3]; feather.records];
+    feather.cloud.intensity = vec![0.0; feather.records];
+    for channel in &mut feather.cloud.channels {
+        channel.bytes = vec![0; feather.records * channel.field.width()];
+    }
+    let feather = feather.to_bytes().unwrap();
+    assert!(feather.len() < 100_000);
     let fields = String::from_utf8(pcd("ascii", 2, b"1 2 3 4\n5 6 7 8\n")).unwrap();
     let fields = fields.replace("COUNT 1 1 1 1", "COUNT 1 1 1 400000000").into_bytes();
     let line = b"1.25 ".repeat(800_000);
@@ -548,6 +561,7 @@ fn bombs() -> Files {
         ("claim-ascii.ply", ply("ascii", "", CLAIM, b"1 2 3\n")),
         ("claim-list.ply", ply("binary_big_endian", list, 1, &[255; 64])),
         ("unfolds.pcd", unfolds),
+        ("unfolds.feather", feather),
         ("line.pcd", pcd("ascii", 200_000, &line)),
         ("line.ply", ply("ascii", "", 200_000, &line)),
         ("header.pcd", line.clone()),

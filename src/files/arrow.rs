@@ -86,13 +86,18 @@ impl Column {
 }
 
 /// Splits a file. Its prefix is the file without the bodies of the record batches, with zeros in place of the numbers
-/// that follow from them. `None` if the file has other parts, missing values, or another compression.
+/// that follow from them. `None` if the file has other parts, missing values, or another compression, or if it unfolds to
+/// far more than a scan does.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
+    /// The bytes of all values are at most this, and this multiple of the file's: scans take about twice as many.
+    const FREE: usize = 1 << 20;
+    const MOST_UNFOLDED: usize = 32;
+    let most = bytes.len().checked_mul(MOST_UNFOLDED)?.checked_add(FREE)?;
     let columns = Header::parse(bytes)?.columns;
     let batches = batches(bytes, columns.len())?;
     let mut planes = vec![Vec::new(); columns.len()];
     let mut is_wide = true;
-    let mut records = 0;
+    let (mut records, mut unfolded) = (0, 0usize);
     for batch in &batches {
         let body = &bytes[batch.body..][..batch.length];
         for (number, (column, plane)) in columns.iter().zip(&mut planes).enumerate() {
@@ -100,6 +105,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
             let [offset, length] = [place, place + 8].map(|place| size(bytes, place));
             let values = body.get(offset?..)?.get(..length?)?;
             let size = batch.records.checked_mul(column.field.width())?;
+            unfolded = unfolded.checked_add(size).filter(|&size| size <= most)?;
             match batch.is_compressed && size > 0 {
                 true => {
                     let frame = values.strip_prefix(&(size as u64).to_le_bytes())?;
@@ -496,6 +502,24 @@ pub(super) mod tests {
             assert_eq!(back.records, scan.records);
             assert_eq!(back.cloud.positions, scan.cloud.positions);
         }
+    }
+
+    #[test]
+    fn what_unfolds_to_far_more_than_a_scan_is_opaque() {
+        let zeros = |count: usize| {
+            let mut scan = parse("a.feather", COMPRESSED.to_vec());
+            scan.prefix = crate::files::with_point_count(&scan.prefix, count);
+            scan.records = count;
+            scan.cloud.positions = vec![[0.0; 3]; count];
+            scan.cloud.intensity = vec![0.0; count];
+            scan.cloud
+                .channels
+                .iter_mut()
+                .for_each(|channel| channel.bytes = vec![0; count * channel.field.width()]);
+            comes_back("a.feather", scan.to_bytes().unwrap())
+        };
+        assert_eq!(zeros(5000).records, 5000);
+        assert!(zeros(200_000).is_opaque());
     }
 
     #[test]

@@ -172,14 +172,16 @@ pub fn parse_with(name: &str, bytes: Vec<u8>, headerless: Option<&HeaderlessLayo
     }
 }
 
-/// As [`parse`], for a file that is to be compared with `like`: if `like` has no header, its record layout is
-/// used.
+/// As [`parse`], for a file that is to be compared with `like`: if both have the same header, or none, the record layout of
+/// `like` is used. Where PCL's padding is, for one, may be guessed otherwise from other values.
 pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
     if like.is_opaque() {
         return ScanFile::opaque(name, bytes);
     }
-    let same = (is_plain(like) && like.prefix.is_empty())
-        .then(|| records::plain_file(like.layout.clone(), &bytes, 0, u64::MAX))
+    let start = like.prefix.len();
+    let count = if start == 0 { u64::MAX } else { like.records as u64 };
+    let same = (is_plain(like) && bytes.starts_with(&like.prefix))
+        .then(|| records::plain_file(like.layout.clone(), &bytes, start, count))
         .flatten();
     match same {
         Some(file) => ScanFile { name: name.to_owned(), ..file },

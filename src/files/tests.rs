@@ -121,6 +121,20 @@ fn wrappings() -> [Wrapping; 9] {
 }
 
 #[test]
+fn files_with_the_same_header_are_compared_field_by_field() {
+    let file = |name: &str, value: f32| {
+        [pcd(name, "4 4 4 4", "F F F F", "1 1 1 1", 2, "binary"), floats(&[value; 8])].concat()
+    };
+    // As if padding had been guessed elsewhere.
+    let mut like = parse("a.pcd", file("x y z i", 1.0));
+    like.layout = plain_layout(vec![Field::new("x", Scalar::F32), Field::padding(12)]).unwrap();
+    let same = parse_like(&like, "b.pcd", file("x y z i", 2.0));
+    assert_eq!((same.records, &same.layout, &same.name[..]), (2, &like.layout, "b.pcd"));
+    let other = parse_like(&like, "b.pcd", file("x y z j", 2.0));
+    assert_eq!(other.layout.position, Some([0, 1, 2]));
+}
+
+#[test]
 fn clouds_that_do_not_fit_their_layout_are_refused() {
     for wrapping in wrappings() {
         assert!(forged(wrapping.clone()).to_bytes().is_ok());

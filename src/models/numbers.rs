@@ -314,7 +314,11 @@ mod tests {
 
         #[test]
         fn places_are_in_order(a: f32, b: f32) {
-            prop_assume!(a < b);
+            let (a, b) = if a < b { (a, b) } else { (b, a) };
+            // NaN has no place in this order, and zeros of both signs have the same.
+            if a >= b || a.is_nan() || b.is_nan() {
+                return Ok(());
+            }
             prop_assert!(ordered32(a.to_bits()) < ordered32(b.to_bits()));
             prop_assert!(ordered64(f64::from(a).to_bits()) < ordered64(f64::from(b).to_bits()));
         }
