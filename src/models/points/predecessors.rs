@@ -92,8 +92,8 @@ fn lasers<'a>(channel: &'a Channel, points: usize, own: &[usize]) -> Option<Vec<
     values.filter(|values| values.iter().any(|value| *value != values[0]))
 }
 
-/// For each of the points `own`, the number, among these, of the point before it in its trail, as their order tells. Those
-/// of the first points do not depend on how many there are, in steps of [`BLOCK`].
+/// For each of the points `own`, the number, among these, of the point before it in its trail, as their order tells. What is
+/// found for a multiple of [`BLOCK`] points does not depend on those after them.
 pub fn by_order(positions: &[[f32; 3]], own: &[usize]) -> Vec<Option<usize>> {
     /// Points before a trail's end that are looked at where the likeliest lag leads nowhere.
     const REACH: usize = 3 * LONGEST;
