@@ -178,10 +178,13 @@ pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
     if like.is_opaque() {
         return ScanFile::opaque(name, bytes);
     }
-    let start = like.prefix.len();
-    let count = if start == 0 { u64::MAX } else { like.records as u64 };
+    // Without a header, the rest of the file is records.
+    let count = match Kind::of(&like.name) {
+        Some((Kind::Kitti | Kind::NuScenes, _)) => u64::MAX,
+        _ => like.records as u64,
+    };
     let same = (is_plain(like) && bytes.starts_with(&like.prefix))
-        .then(|| records::plain_file(like.layout.clone(), &bytes, start, count))
+        .then(|| records::plain_file(like.layout.clone(), &bytes, like.prefix.len(), count))
         .flatten();
     match same {
         Some(file) => ScanFile { name: name.to_owned(), ..file },
