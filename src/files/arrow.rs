@@ -117,7 +117,8 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
             is_wide &= offset?.is_multiple_of(alignment(true));
         }
         is_wide &= body.len().is_multiple_of(alignment(true));
-        records += batch.records;
+        // A file without columns may claim any number.
+        records = batch.records.checked_add(records)?;
     }
     let mut blank = bytes.to_vec();
     for place in batches.iter().flat_map(Batch::numbers) {
@@ -137,7 +138,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     Some(ScanFile { layout, prefix, records, cloud, ..ScanFile::default() })
 }
 
-/// The file, with the values of the columns one after the other.
+/// The file: its prefix, with the bodies of the batches and the numbers that follow from them.
 ///
 /// # Errors
 /// [`Error::Corrupt`] if the prefix is not that of such a file, which a damaged stream can cause.
@@ -299,7 +300,7 @@ struct Message<'b> {
 }
 
 impl<'b> Message<'b> {
-    // The kinds.
+    // Kinds of messages.
     const SCHEMA: u8 = 1;
     const BATCH: u8 = 3;
 
