@@ -87,11 +87,24 @@ impl Scanner {
         moved.or_else(mounted).or(found).map(Scanner::Firings).or_else(beams)
     }
 
-    /// The share of a scan's points that are in its range image.
+    /// The share of a scan's points that are in its range image; of many points by an HDL-64E, of those in the middle.
     pub fn share(&self, cloud: &PointCloud) -> f64 {
-        let image = self.project(cloud, REACH).image;
+        /// A sufficient number of points: at least ten beams.
+        const MANY: usize = 25_000;
+        let positions = &cloud.positions;
+        let middle = match self {
+            Scanner::Hdl64(_) if positions.len() > MANY => {
+                let start = (positions.len() - MANY) / 2;
+                Cow::Owned(PointCloud {
+                    positions: positions[start..start + MANY].to_vec(),
+                    ..PointCloud::default()
+                })
+            }
+            _ => Cow::Borrowed(cloud),
+        };
+        let image = self.project(&middle, REACH).image;
         let is_off_axis = |[x, y, _]: &&[f32; 3]| (*x != 0.0 || *y != 0.0) && !(x.is_nan() || y.is_nan());
-        let points = cloud.positions.iter().filter(is_off_axis).count();
+        let points = middle.positions.iter().filter(is_off_axis).count();
         (image.returns() + image.echoes.len()) as f64 / points.max(1) as f64
     }
 

@@ -191,9 +191,14 @@ fn fitted(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>
         let is_mixed = match &found[..] {
             [] => false,
             [only] => {
-                let neighbours = [scan_of(frames[0], config)?, scan_of(frames[1], config)?];
-                let is_exact = explains_any(only, neighbours.iter().flatten());
-                let open = &neighbours[usize::from(explains_all)..];
+                let mut open = vec![scan_of(frames[1], config)?];
+                // What was explained says only whether this is to the last bit.
+                let first =
+                    if explains_all && only.firings().is_none() { None } else { scan_of(frames[0], config)? };
+                let is_exact = explains_any(only, first.iter().chain(open.iter().flatten()));
+                if !explains_all {
+                    open.push(first);
+                }
                 open.iter().flatten().any(|scan| !explains(only, scan, is_exact))
             }
             _ => true,

@@ -32,6 +32,8 @@ const TICK: f64 = TAU / TICKS as f64;
 const FEWEST_POINTS: usize = 40;
 /// Number of a beam's points that are used where a sample is enough.
 const SAMPLE: usize = 1500;
+/// Number of points computed at a time.
+const LANES: usize = 8;
 /// Minimum share of a beam's points within reach of the corrections; with fewer the constants are wrong.
 const LEAST_OF_BEAM: f64 = 0.7;
 /// Minimum share of the points that the scanner must explain.
@@ -166,30 +168,57 @@ fn far_sample(points: &[Point]) -> Vec<Point> {
 }
 
 /// Coherence and phase (radians) of a set of values on a grid of `period`.
-fn coherence(values: impl Iterator<Item = f64>, period: f64) -> (f64, f64) {
-    let (mut re, mut im) = (0.0, 0.0);
-    let by_period = 1.0 / period;
-    for value in values {
-        let turns = value * by_period;
-        re += rough_sine(turns + 0.25);
-        im += rough_sine(turns);
-    }
+fn coherence(values: &[f64], period: f64) -> (f64, f64) {
+    let [re, im] = dispatch(Phasors { values, period });
     (libm::hypot(re, im), libm::atan2(im, re))
+}
+
+/// The arguments of [`coherence`], for a function compiled for several vector units: the sums of the cosines and the sines.
+struct Phasors<'a> {
+    values: &'a [f64],
+    period: f64,
+}
+
+impl NullaryFnOnce for Phasors<'_> {
+    type Output = [f64; 2];
+
+    #[inline(always)]
+    fn call(self) -> [f64; 2] {
+        let by_period = 1.0 / self.period;
+        let (mut re, mut im) = ([0.0; LANES], [0.0; LANES]);
+        let (blocks, rest) = self.values.as_chunks::<LANES>();
+        for block in blocks {
+            let turns: [f64; LANES] = lanes(|i| block[i] * by_period);
+            re = lanes(|i| re[i] + rough_sine(turns[i] + 0.25));
+            im = lanes(|i| im[i] + rough_sine(turns[i]));
+        }
+        for (lane, value) in rest.iter().enumerate() {
+            re[lane] += rough_sine(value * by_period + 0.25);
+            im[lane] += rough_sine(value * by_period);
+        }
+        [re, im].map(|lanes| lanes.iter().sum())
+    }
 }
 
 /// Step 2: the sideways offset h that brings the azimuths onto the ticks, and the phase rot. First
 /// approximately, from a part of the points, then from all of them.
 fn side_offset(far: &[Point]) -> (f64, f64) {
-    let sample = |count: usize| thinned(far, count).copied().collect::<Vec<Point>>();
-    let at =
-        |points: &[Point], h: f64| coherence(points.iter().map(|p| p.azimuth - small_atan(h / p.rho)), TICK);
-    let best = |points: &[Point], mm: &mut dyn Iterator<Item = i32>| {
+    // The azimuth, and the reciprocal of the distance.
+    let sample = |count: usize| -> Vec<[f64; 2]> {
+        thinned(far, count).map(|point| [point.azimuth, 1.0 / point.rho]).collect()
+    };
+    let at = |points: &[[f64; 2]], h: f64| {
+        let angles: Vec<f64> =
+            points.iter().map(|[azimuth, by_rho]| azimuth - small_atan(h * by_rho)).collect();
+        coherence(&angles, TICK)
+    };
+    let best = |points: &[[f64; 2]], mm: &mut dyn Iterator<Item = i32>| {
         let strength = |mm: i32| at(points, f64::from(mm) * 1e-3).0;
         mm.map(|mm| (mm, strength(mm))).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(mm, _)| mm)
     };
     let rough = best(&sample(150), &mut (-60..=60).step_by(3));
     let h = f64::from(best(&sample(400), &mut (rough - 3..=rough + 3))) * 1e-3;
-    (h, at(far, h).1 / TAU * TICK)
+    (h, at(&sample(far.len()), h).1 / TAU * TICK)
 }
 
 /// Step 3: the phase of the range on its grid, as the offset b in metres.
@@ -200,7 +229,7 @@ fn range_phase(points: &[Point], elevation: f64) -> f64 {
     ranges.select_nth_unstable_by(end, f64::total_cmp);
     ranges[..end].select_nth_unstable_by(first, f64::total_cmp);
     let middle = &ranges[first..end];
-    coherence(middle.iter().copied(), RANGE_STEP).1 / TAU * RANGE_STEP * libm::cos(elevation)
+    coherence(middle, RANGE_STEP).1 / TAU * RANGE_STEP * libm::cos(elevation)
 }
 
 /// Step 4: Gauss-Newton on the errors of x, y and z, with the integers fixed; repeated, because the integers
@@ -208,15 +237,8 @@ fn range_phase(points: &[Point], elevation: f64) -> f64 {
 fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 5] {
     let mut constants = start;
     let least_squares = |constants: &[f64; 5], count: usize, reach: f64| {
-        let formula = Formula::new(constants);
-        let mut system = System::default();
-        for point in thinned(points, count) {
-            let site = formula.at_one(point);
-            if site.largest_miss() < reach {
-                system.add(site.miss, &formula, &site);
-            }
-        }
-        system
+        let points: Vec<Point> = thinned(points, count).copied().collect();
+        System::of(&Formula::new(constants), &points, reach, 0.0)
     };
     // The first steps are large, so a few points are enough.
     for (count, reach) in
@@ -237,6 +259,8 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
 /// errors are larger, which makes them far more accurate than least squares can.
 fn centre_in_roundings(constants: &mut [f64; 5], points: &[Point], whole: &System) {
     const ROUNDS: usize = 12;
+    /// In metres and radians: a round that moves no constant by more is the last.
+    const SETTLED: f64 = 2e-8;
     /// In metres.
     const HALF_UNIT: f64 = 5e-4;
     const REACH: f64 = 0.0015;
@@ -251,53 +275,128 @@ fn centre_in_roundings(constants: &mut [f64; 5], points: &[Point], whole: &Syste
     let points: Vec<Point> = near_border.map(|(point, _)| *point).collect();
     for _ in 0..ROUNDS {
         let formula = Formula::new(constants);
-        let mut system = System { normal: whole.normal * INERTIA, ..System::default() };
-        let largest_misses = formula.largest_misses(&points);
         let is_beyond = |largest: f64| largest > HALF_UNIT && largest < REACH;
-        for (point, _) in points.iter().zip(largest_misses).filter(|(_, largest)| is_beyond(*largest)) {
-            let site = formula.at_one(point);
-            let beyond = site.miss.map(|m| m - m.clamp(-HALF_UNIT, HALF_UNIT));
-            system.add(beyond, &formula, &site);
+        let misses = formula.largest_misses(&points);
+        let beyond = points.iter().zip(misses).filter(|(_, largest)| is_beyond(*largest));
+        let beyond: Vec<Point> = beyond.map(|(point, _)| *point).collect();
+        let beyond = System::of(&formula, &beyond, REACH, HALF_UNIT);
+        let moved =
+            System { normal: whole.normal * INERTIA + beyond.normal, right: beyond.right }.step(constants);
+        if moved < SETTLED {
+            break;
         }
-        system.step(constants);
     }
 }
 
 /// The normal equations of a least-squares problem in the five constants.
-#[derive(Default)]
 struct System {
+    /// Only the lower triangle is used.
     normal: SMatrix<f64, 5, 5>,
     right: SVector<f64, 5>,
 }
 
 impl System {
-    fn add(&mut self, [x, y, z]: [f64; 3], formula: &Formula, site: &Site) {
-        let [x_by, y_by, z_by] = formula.slopes(site);
-        // The remaining derivatives are 0.
-        self.add_axis([0, 1, 3, 4], x_by, x);
-        self.add_axis([0, 1, 3, 4], y_by, y);
-        self.add_axis([0, 2], z_by, z);
+    /// The equations of the coordinates that the formula misses by more than `slack` metres, by which their errors count
+    /// less, of the points that it misses by less than `reach` metres along all axes.
+    fn of(formula: &Formula, points: &[Point], reach: f64, slack: f64) -> Self {
+        dispatch(Equations { formula, points, reach, slack })
     }
 
-    /// Adds the error of one coordinate, with its derivatives with respect to some of the constants.
+    /// Moves the constants to the solution, and returns the largest change; without a solution they are not changed.
+    fn step(&self, constants: &mut [f64; 5]) -> f64 {
+        let Some(cholesky) = self.normal.cholesky() else { return 0.0 };
+        let step = cholesky.solve(&self.right);
+        constants.iter_mut().zip(step.iter()).for_each(|(constant, s)| *constant += s);
+        step.amax()
+    }
+}
+
+/// The arguments of [`System::of`], for a function compiled for several vector units.
+struct Equations<'a> {
+    formula: &'a Formula,
+    points: &'a [Point],
+    reach: f64,
+    slack: f64,
+}
+
+/// The elements of the lower triangle that are not 0, by row and column, in the equations of x and y and in those of z.
+const OF_X_AND_Y: [[usize; 2]; 10] =
+    [[0, 0], [1, 0], [3, 0], [4, 0], [1, 1], [3, 1], [4, 1], [3, 3], [4, 3], [4, 4]];
+const OF_Z: [[usize; 2]; 3] = [[0, 0], [2, 0], [2, 2]];
+
+impl NullaryFnOnce for Equations<'_> {
+    type Output = System;
+
     #[inline(always)]
-    fn add_axis<const N: usize>(&mut self, constants: [usize; N], slope: [f64; 5], miss: f64) {
-        if miss != 0.0 {
-            // Only the lower triangle is used.
-            for (place, &column) in constants.iter().enumerate() {
-                for &row in &constants[place..] {
-                    self.normal[(row, column)] += slope[row] * slope[column];
-                }
-                self.right[column] += slope[column] * miss;
-            }
+    fn call(self) -> System {
+        let mut sums = Sums::<LANES>::default();
+        let (blocks, rest) = self.points.as_chunks::<LANES>();
+        for block in blocks {
+            self.add(block, &mut sums);
         }
+        let mut of_rest = Sums::<1>::default();
+        for point in rest {
+            self.add(std::array::from_ref(point), &mut of_rest);
+        }
+        let mut system = System { normal: SMatrix::zeros(), right: SVector::zeros() };
+        let mut add = |place: [usize; 2], sums: &[f64], of_rest: &[f64]| {
+            system.normal[(place[0], place[1])] += sums.iter().chain(of_rest).sum::<f64>();
+        };
+        for (place, (sums, of_rest)) in OF_X_AND_Y.into_iter().zip(sums.x_and_y.iter().zip(&of_rest.x_and_y))
+        {
+            add(place, sums, of_rest);
+        }
+        for (place, (sums, of_rest)) in OF_Z.into_iter().zip(sums.z.iter().zip(&of_rest.z)) {
+            add(place, sums, of_rest);
+        }
+        for (row, (sums, of_rest)) in sums.right.iter().zip(&of_rest.right).enumerate() {
+            system.right[row] = sums.iter().chain(of_rest).sum();
+        }
+        system
     }
+}
 
-    /// Moves the constants to the solution; without one they are not changed.
-    fn step(&self, constants: &mut [f64; 5]) {
-        if let Some(cholesky) = self.normal.cholesky() {
-            let step = cholesky.solve(&self.right);
-            constants.iter_mut().zip(step.iter()).for_each(|(constant, s)| *constant += s);
+/// Sums of the products of which normal equations consist, in the order of [`OF_X_AND_Y`] and [`OF_Z`], lane by lane.
+#[derive(Clone, Copy)]
+struct Sums<const N: usize> {
+    x_and_y: [[f64; N]; OF_X_AND_Y.len()],
+    z: [[f64; N]; OF_Z.len()],
+    right: [[f64; N]; 5],
+}
+
+impl<const N: usize> Default for Sums<N> {
+    fn default() -> Self {
+        Sums { x_and_y: [[0.0; N]; OF_X_AND_Y.len()], z: [[0.0; N]; OF_Z.len()], right: [[0.0; N]; 5] }
+    }
+}
+
+impl Equations<'_> {
+    /// Adds the equations of some points.
+    #[inline(always)]
+    fn add<const N: usize>(&self, points: &[Point; N], sums: &mut Sums<N>) {
+        let sites = self.formula.at(points);
+        let largest = sites.largest_misses();
+        let [x_by, y_by, z_by] = self.formula.slopes(&sites);
+        // 0 where a coordinate does not count.
+        let beyond = |axis: usize| -> ([f64; N], [f64; N]) {
+            let miss = &sites.miss[axis];
+            let beyond: [f64; N] = lanes(|i| miss[i] - miss[i].max(-self.slack).min(self.slack));
+            let counts: [bool; N] = lanes(|i| (largest[i] < self.reach) & (beyond[i] != 0.0));
+            (lanes(|i| if counts[i] { 1.0 } else { 0.0 }), lanes(|i| if counts[i] { beyond[i] } else { 0.0 }))
+        };
+        let ((x, x_miss), (y, y_miss), (z, z_miss)) = (beyond(0), beyond(1), beyond(2));
+        for (sum, [row, column]) in sums.x_and_y.iter_mut().zip(OF_X_AND_Y) {
+            *sum = lanes(|i| {
+                sum[i] + x[i] * x_by[row][i] * x_by[column][i] + y[i] * y_by[row][i] * y_by[column][i]
+            });
+        }
+        for (sum, [row, column]) in sums.z.iter_mut().zip(OF_Z) {
+            *sum = lanes(|i| sum[i] + z[i] * z_by[row][i] * z_by[column][i]);
+        }
+        for (row, sum) in sums.right.iter_mut().enumerate() {
+            *sum = lanes(|i| {
+                sum[i] + x_by[row][i] * x_miss[i] + y_by[row][i] * y_miss[i] + z_by[row][i] * z_miss[i]
+            });
         }
     }
 }
@@ -332,31 +431,9 @@ impl<const N: usize> Sites<N> {
     }
 }
 
-/// The formula at the integers nearest to a point.
-struct Site {
-    d: f64,
-    rho: f64,
-    sin: f64,
-    cos: f64,
-    /// The error of the formula along each axis, in metres.
-    miss: [f64; 3],
-}
-
-impl Site {
-    fn largest_miss(&self) -> f64 {
-        self.miss.iter().fold(0.0f64, |largest, m| largest.max(m.abs()))
-    }
-}
-
 impl Formula {
     fn new(&[v, b, c, h, rot]: &[f64; 5]) -> Self {
         Formula { sin_v: libm::sin(v), cos_v: libm::cos(v), b, c, h, rot }
-    }
-
-    fn at_one(&self, point: &Point) -> Site {
-        let Sites { d: [d], rho: [rho], sin: [sin], cos: [cos], miss: [[x], [y], [z]] } =
-            self.at(std::array::from_ref(point));
-        Site { d, rho, sin, cos, miss: [x, y, z] }
     }
 
     #[inline(always)]
@@ -395,15 +472,23 @@ impl Formula {
     }
 
     /// The derivatives of the formula's x, y and z with respect to (V, b, c, h, rot).
-    fn slopes(&self, &Site { d, rho, sin, cos, .. }: &Site) -> [[f64; 5]; 3] {
-        let square = rho * rho + self.h * self.h;
-        let rho_by = [-d * self.sin_v, 1.0, 0.0, 0.0, 0.0];
-        let phi_by_rho = -self.h / square;
-        let phi_by = [rho_by[0] * phi_by_rho, phi_by_rho, 0.0, rho / square, 1.0];
-        let x_by = std::array::from_fn(|i| cos * rho_by[i] - rho * sin * phi_by[i]);
-        let y_by = std::array::from_fn(|i| sin * rho_by[i] + rho * cos * phi_by[i]);
-        let z_by = [d * self.cos_v, 0.0, 1.0, 0.0, 0.0];
-        [x_by, y_by, z_by]
+    #[inline(always)]
+    fn slopes<const N: usize>(&self, Sites { d, rho, sin, cos, .. }: &Sites<N>) -> [[[f64; N]; 5]; 3] {
+        let phi_by_h: [f64; N] = lanes(|i| rho[i] / (rho[i] * rho[i] + self.h * self.h));
+        let phi_by_rho: [f64; N] = lanes(|i| -self.h / (rho[i] * rho[i] + self.h * self.h));
+        let rho_by_v: [f64; N] = lanes(|i| -d[i] * self.sin_v);
+        let of_axis = |ahead: &[f64; N], aside: &[f64; N]| -> [[f64; N]; 5] {
+            [
+                lanes(|i| ahead[i] * rho_by_v[i] + rho[i] * aside[i] * rho_by_v[i] * phi_by_rho[i]),
+                lanes(|i| ahead[i] + rho[i] * aside[i] * phi_by_rho[i]),
+                [0.0; N],
+                lanes(|i| rho[i] * aside[i] * phi_by_h[i]),
+                lanes(|i| rho[i] * aside[i]),
+            ]
+        };
+        let back: [f64; N] = lanes(|i| -sin[i]);
+        let z_by = [lanes(|i| d[i] * self.cos_v), [0.0; N], [1.0; N], [0.0; N], [0.0; N]];
+        [of_axis(cos, &back), of_axis(sin, cos), z_by]
     }
 }
 
@@ -418,8 +503,6 @@ impl NullaryFnOnce for LargestMisses<'_> {
 
     #[inline(always)]
     fn call(self) -> Vec<f64> {
-        /// Number of points computed at a time.
-        const LANES: usize = 8;
         let mut misses = vec![0.0; self.points.len()];
         let (blocks, rest) = self.points.as_chunks::<LANES>();
         let (of_blocks, of_rest) = misses.as_chunks_mut::<LANES>();

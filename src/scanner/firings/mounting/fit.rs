@@ -181,10 +181,11 @@ impl Seen {
         });
         let whole = whole_ticks(sequence.collect(), &elevations, ticks);
         let offsets: Vec<f64> = parts_of_ticks.iter().zip(whole).map(|(part, whole)| part + whole).collect();
-        let degrees: Vec<f64> = elevations.iter().map(|elevation| elevation.to_degrees()).collect();
-        let lasers = all_as_written(&degrees).into_iter().zip(&offsets);
-        let lasers = lasers
-            .map(|(elevation, offset)| Laser { elevation, azimuth: as_written(offset * tick, DEGREES) });
+        let elevations: Vec<f64> = elevations.iter().map(|elevation| elevation.to_degrees()).collect();
+        let azimuths: Vec<f64> = offsets.iter().map(|offset| offset * tick).collect();
+        let elevations = all_as_written(&elevations, &[DEGREES, RADIANS]).into_iter();
+        let lasers = elevations.zip(all_as_written(&azimuths, &[DEGREES]));
+        let lasers = lasers.map(|(elevation, azimuth)| Laser { elevation, azimuth });
         let build = Build {
             recipe: Recipe::DoubleXAhead,
             ticks,
@@ -277,7 +278,10 @@ impl Seen {
         let ticks = self.build.ticks;
         let quarter = if recipe.axes() == Axes::YAhead { FRAC_PI_2 } else { 0.0 };
         let less = f64::from(part) * (THOUSANDTH as f64 * ANGLE_UNIT).to_radians();
-        let few: Vec<Measurement> = thinned(&self.points, SAMPLE).copied().collect();
+        // Of near points, whose coordinates grew when they were moved, no rounding is left.
+        let mut few: Vec<Measurement> = thinned(&self.points, SAMPLE).copied().collect();
+        few.sort_by_key(|(found, _)| std::cmp::Reverse(found.steps));
+        few.truncate(few.len() / 4);
         let rounded = |found: &Return| scanner.position(found, 0.0);
         let pairs: Vec<Pair> = few.iter().map(|(found, position)| (rounded(found), *position)).collect();
         let mounting = least_squares(&pairs, &start.turned(less - quarter), &COARSE)?;
@@ -536,23 +540,23 @@ fn sharpened(order: Order, row: [f64; 4], pairs: &[Pair], axis: usize) -> ([f64;
 const DEGREES: f64 = 1e-3;
 const RADIANS: f64 = 1e-4 * 180.0 / PI;
 
-/// Elevations in degrees as they were written, all on one of the grids, in the unit of [`Laser`].
-fn all_as_written(degrees: &[f64]) -> Vec<i64> {
+/// Angles in degrees as they were written, all on one of these grids, or on none, in the unit of [`Laser`].
+fn all_as_written(degrees: &[f64], grids: &[f64]) -> Vec<i64> {
+    /// Degrees: how near most angles, and each that is rounded, must be to a grid. A grid has twice as wide steps at
+    /// least, so that the median of other angles is farther off.
+    const MOST_NEAR: f64 = 1e-4;
+    const NEAR: f64 = 2.5e-4;
+    let on_grid = |degrees: f64, grid: f64| round_ties_even(degrees / grid) * grid;
     let off = |grid: f64| {
-        let off = |degrees: &f64| (degrees / grid - round_ties_even(degrees / grid)).abs() * grid;
-        let mut off: Vec<f64> = degrees.iter().map(off).collect();
+        let mut off: Vec<f64> = degrees.iter().map(|&angle| (angle - on_grid(angle, grid)).abs()).collect();
         off.sort_by(f64::total_cmp);
         off.get(off.len() / 2).copied().unwrap_or_default()
     };
-    let grid = if off(RADIANS) < off(DEGREES) { RADIANS } else { DEGREES };
-    degrees.iter().map(|&degrees| as_written(degrees, grid)).collect()
-}
-
-/// An angle as it was written on a grid, if it is so near to it, in the unit of [`Laser`].
-fn as_written(degrees: f64, grid: f64) -> i64 {
-    /// Degrees.
-    const NEAR: f64 = 2.5e-4;
-    let nearest = round_ties_even(degrees / grid) * grid;
-    let written = if (nearest - degrees).abs() < NEAR { nearest } else { degrees };
-    (written / ANGLE_UNIT).round() as i64
+    let grid = grids.iter().copied().min_by(|a, b| off(*a).total_cmp(&off(*b)));
+    let grid = grid.filter(|grid| off(*grid) < MOST_NEAR);
+    let written = |&angle: &f64| {
+        let near = grid.map(|grid| on_grid(angle, grid)).filter(|written| (written - angle).abs() < NEAR);
+        (near.unwrap_or(angle) / ANGLE_UNIT).round() as i64
+    };
+    degrees.iter().map(written).collect()
 }

@@ -44,19 +44,86 @@ pub fn find(points: &[Vector3<f64>], rows: Option<&[Vector3<f64>]>) -> Option<Po
     /// In radians: half the distance between two lasers, at first.
     const APART: [f64; 3] = [6e-3, 3e-3, 1.5e-3];
     let sample: Vec<Vector3<f64>> = thinned(points, SAMPLE).copied().collect();
-    let orders = rows.into_iter().chain([points]);
-    let of_rows = orders.flat_map(|points| OF_ROWS.map(|count| from_rows(points, count)));
-    let of_firings = OF_FIRINGS.into_iter().map(|count| {
-        let pose = from_firings(points, count)?;
-        Some(along_axis(pose, &sample))
-    });
     let few: Vec<Vector3<f64>> = thinned(&sample, SAMPLE / 2).copied().collect();
     // Many scanners stand upright, and many clouds were moved by little.
     let upright = Pose { axis: Vector3::z(), apex: Vector3::zeros() };
     let usual = [upright, along_axis(upright, &sample)].into_iter();
-    let mut starts = usual.chain(of_rows.chain(of_firings).flatten());
-    let near = |start: Pose| APART.into_iter().find_map(|apart| refined(start, &few, apart));
-    starts.find_map(near).and_then(|pose| refined(pose, &sample, FOUND))
+    let refined_from = |start: Pose| {
+        APART.into_iter().find_map(|apart| {
+            let far = || farthest(&sample, &start.apex);
+            refined(start, &few, apart).or_else(|| refined(start, &far(), apart))
+        })
+    };
+    let from_any = |starts: Vec<Pose>| distinct(starts).into_iter().find_map(refined_from);
+    let from_neighbours = || {
+        let orders = rows.into_iter().chain([points]);
+        let of_rows = orders.flat_map(|points| OF_ROWS.map(|count| from_rows(points, count)));
+        let of_rows: Vec<Pose> = of_rows.flatten().collect();
+        let of_firings = OF_FIRINGS.into_iter().filter_map(|count| from_firings(points, count));
+        let of_firings = of_firings.flat_map(|firings| {
+            // Rows tell the place along the axis, too.
+            let places = of_rows.iter().map(move |rows| Pose { axis: firings.axis, apex: rows.apex });
+            std::iter::once(along_axis(firings, &sample)).chain(places)
+        });
+        from_any(of_rows.iter().copied().chain(of_firings).collect()).or_else(|| {
+            let upright = distinct(of_rows.iter().map(|rows| Pose { axis: Vector3::z(), ..*rows }).collect());
+            let tilted = upright.iter().map(|pose| tilted(pose.apex, &farthest(&sample, &pose.apex)));
+            tilted.into_iter().find_map(refined_from)
+        })
+    };
+    usual
+        .into_iter()
+        .find_map(refined_from)
+        .or_else(from_neighbours)
+        .and_then(|pose| refined(pose, &sample, FOUND))
+}
+
+/// Poses without those that are nearly the same as an earlier one.
+fn distinct(poses: Vec<Pose>) -> Vec<Pose> {
+    /// In metres, and as a sine.
+    const NEAR: f64 = 0.02;
+    const ALONG: f64 = 3e-3;
+    let mut distinct: Vec<Pose> = Vec::new();
+    for pose in poses {
+        let is_same = |other: &Pose| {
+            (pose.apex - other.apex).norm() < NEAR && pose.axis.cross(&other.axis).norm() < ALONG
+        };
+        if !distinct.iter().any(is_same) {
+            distinct.push(pose);
+        }
+    }
+    distinct
+}
+
+/// The quarter of some points that is farthest from a point. If the place of the scanner is known to centimetres only, the
+/// elevations of near points are wrong by several lasers.
+fn farthest(points: &[Vector3<f64>], from: &Vector3<f64>) -> Vec<Vector3<f64>> {
+    let mut sorted = points.to_vec();
+    sorted.sort_by(|a, b| (b - from).norm_squared().total_cmp(&(a - from).norm_squared()));
+    sorted.truncate(points.len() / 4);
+    sorted
+}
+
+/// The pose with this apex whose axis is nearly upright, such that the elevations of some points form the highest heaps.
+fn tilted(apex: Vector3<f64>, points: &[Vector3<f64>]) -> Pose {
+    /// In radians, and steps.
+    const STEP: f64 = 5e-3;
+    const FARTHEST: i32 = 40;
+    /// The sine of a heap's width.
+    const WIDE: f64 = 6e-3;
+    let directions: Vec<Vector3<f64>> =
+        points.iter().filter_map(|point| (point - apex).try_normalize(0.0)).collect();
+    let tilts = (-FARTHEST..=FARTHEST).flat_map(|x| (-FARTHEST..=FARTHEST).map(move |y| [x, y]));
+    let axes = tilts.map(|tilt| {
+        let [x, y] = tilt.map(|steps| f64::from(steps) * STEP);
+        Vector3::new(x, y, 1.0).normalize()
+    });
+    let height = |axis: &Vector3<f64>| {
+        let mut heaps = [0u32; (2.0 / WIDE) as usize + 2];
+        directions.iter().for_each(|direction| heaps[((direction.dot(axis) + 1.0) / WIDE) as usize] += 1);
+        heaps.into_iter().map(|count| u64::from(count * count)).sum::<u64>()
+    };
+    Pose { axis: axes.max_by_key(height).unwrap_or_else(Vector3::z), apex }
 }
 
 /// A plane through neighbouring points.
