@@ -9,7 +9,7 @@ use crate::common::{File, encode_files, round_trip};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scan::ScanFile;
-use lidarpc::internals::scanner::firings::{Firings, Mounting, Order, Recipe};
+use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Mounting, Order, Recipe};
 use lidarpc::internals::scanner::{REACH, RangeImage, Scanner};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, drive};
 
@@ -144,6 +144,63 @@ fn offsets_of_several_ticks_by_a_recipe_in_single_precision_are_found() {
     let (found, _) = fitted(parse("0.pcd", pcd_stamped(&moved, &rows, &vec![0.0; moved.len()])));
     let exact = found.exact_share(&positions(&moved));
     assert!(exact > 0.98, "{exact}");
+}
+
+/// A scan of lasers with these elevations and azimuth offsets, in degrees, which fire from the highest to the lowest. Most
+/// returns are of the car on which the scanner is mounted.
+fn near_scan(recipe: Recipe, lasers: &[[f64; 2]]) -> Points {
+    let units = |degrees: f64| (degrees * 1e9).round() as i64;
+    let laser =
+        |&[elevation, azimuth]: &[f64; 2]| Laser { elevation: units(elevation), azimuth: units(azimuth) };
+    let build = Build { range_step_um: 4000, ..made_up(recipe).build().clone() };
+    let rows = lasers.len() as u32;
+    let scanner = Firings::new(build, lasers.iter().map(laser).collect(), (0..rows).collect());
+    let mut image = RangeImage::new(lasers.len(), (0..36_000).step_by(20).collect());
+    for row in 0..lasers.len() {
+        for column in 0..1800 {
+            let noise = (row * 7919 + column * 104_729) % 13;
+            let is_car = (column / 300 + row / 8) % 4 != 0;
+            let metres = if is_car {
+                0.7 + 0.1 * (column as f64 * 0.02).sin()
+            } else {
+                4.0 + (column % 300) as f64 * 0.01
+            };
+            image.steps[(row, column)] = (metres * 250.0) as u32 + noise as u32;
+        }
+    }
+    points(&scanner, &image)
+}
+
+/// Checks that a scanner with a mounting is found, and that it explains nearly all points.
+fn is_found(moved: &Points) {
+    let scan = file(moved);
+    let scanner = Scanner::fit(std::slice::from_ref(&scan)).expect("a scanner is found");
+    assert!(scanner.firings().is_some_and(|found| found.build().mounting.is_some()), "without a mounting");
+    let share = scanner.share(&scan.cloud);
+    assert!(share > 0.99, "{share}");
+}
+
+#[test]
+fn a_scanner_that_mostly_sees_its_own_car_is_found() {
+    let lasers: Vec<[f64; 2]> = (0..32)
+        .map(|row| f64::from(row))
+        .map(|row| [14.972_364 - 1.000_137 * row + 0.000_311 * (row % 5.0), 0.082_385 - 0.006_713 * row])
+        .collect();
+    let moved =
+        Mover::NumPyDouble.moved(&near_scan(Recipe::Nebula, &lasers), [0.0, 0.6, 1.7], [1.2, -0.1, 1.9]);
+    is_found(&moved);
+}
+
+#[test]
+fn a_scanner_whose_firings_are_no_planes_is_found() {
+    let elevation = |row: f64| 52.0 - 1.2 * row;
+    let lasers: Vec<[f64; 2]> = (0..64)
+        .map(|row| f64::from(row))
+        .map(|row| [elevation(row), -5.0 - 0.05 * (elevation(row) / 5.0).powi(2)])
+        .collect();
+    let moved =
+        Mover::NumPyDouble.moved(&near_scan(Recipe::Nebula, &lasers), [0.0, 0.6, 1.7], [1.2, -0.1, 1.9]);
+    is_found(&moved);
 }
 
 #[test]

@@ -278,10 +278,7 @@ impl Seen {
         let ticks = self.build.ticks;
         let quarter = if recipe.axes() == Axes::YAhead { FRAC_PI_2 } else { 0.0 };
         let less = f64::from(part) * (THOUSANDTH as f64 * ANGLE_UNIT).to_radians();
-        // Of near points, whose coordinates grew when they were moved, no rounding is left.
-        let mut few: Vec<Measurement> = thinned(&self.points, SAMPLE).copied().collect();
-        few.sort_by_key(|(found, _)| std::cmp::Reverse(found.steps));
-        few.truncate(few.len() / 4);
+        let few: Vec<Measurement> = thinned(&self.points, SAMPLE).copied().collect();
         let rounded = |found: &Return| scanner.position(found, 0.0);
         let pairs: Vec<Pair> = few.iter().map(|(found, position)| (rounded(found), *position)).collect();
         let mounting = least_squares(&pairs, &start.turned(less - quarter), &COARSE)?;
@@ -542,9 +539,9 @@ const RADIANS: f64 = 1e-4 * 180.0 / PI;
 
 /// Angles in degrees as they were written, all on one of these grids, or on none, in the unit of [`Laser`].
 fn all_as_written(degrees: &[f64], grids: &[f64]) -> Vec<i64> {
-    /// Degrees: how near most angles, and each that is rounded, must be to a grid. A grid has twice as wide steps at
-    /// least, so that the median of other angles is farther off.
+    /// In degrees: how near to a grid half of the angles must be. Angles that are on no grid are 2.5e-4 off on average.
     const MOST_NEAR: f64 = 1e-4;
+    /// In degrees: how near an angle must be to be rounded.
     const NEAR: f64 = 2.5e-4;
     let on_grid = |degrees: f64, grid: f64| round_ties_even(degrees / grid) * grid;
     let off = |grid: f64| {
