@@ -183,7 +183,7 @@ fn is_found(moved: &Points) {
 #[test]
 fn a_scanner_that_mostly_sees_its_own_car_is_found() {
     let lasers: Vec<[f64; 2]> = (0..32)
-        .map(|row| f64::from(row))
+        .map(f64::from)
         .map(|row| [14.972_364 - 1.000_137 * row + 0.000_311 * (row % 5.0), 0.082_385 - 0.006_713 * row])
         .collect();
     let moved =
@@ -195,7 +195,7 @@ fn a_scanner_that_mostly_sees_its_own_car_is_found() {
 fn a_scanner_whose_firings_are_no_planes_is_found() {
     let elevation = |row: f64| 52.0 - 1.2 * row;
     let lasers: Vec<[f64; 2]> = (0..64)
-        .map(|row| f64::from(row))
+        .map(f64::from)
         .map(|row| [elevation(row), -5.0 - 0.05 * (elevation(row) / 5.0).powi(2)])
         .collect();
     let moved =
