@@ -4,7 +4,8 @@
 //! - Points of a row follow one another: planes of all directions meet in the point where the beams start (the apex), and
 //!   the directions of a row lie on a cone around the axis.
 //! - Points of a firing follow one another: all planes contain the axis. Where on the axis beams start is where
-//!   elevations form heaps.
+//!   elevations form heaps, or, if many points are near, where the planes meet. If azimuth offsets bend the firings, planes
+//!   do not contain the axis, but still meet in the apex; the axis is then that for which elevations form heaps.
 //!
 //! Such a first estimate is good to a thousandth; the cones of the lasers, which it then tells apart, give the rest.
 
@@ -183,7 +184,7 @@ fn least_direction(matrix: Matrix3<f64>) -> Vector3<f64> {
 /// Number of iterations of least squares in which what deviates gets less weight.
 const ROUNDS: usize = 20;
 
-/// The pose if neighbouring points belong to one row.
+/// The pose if neighbouring points belong to one row; its apex is right if they belong to one firing, too.
 fn from_rows(points: &[Vector3<f64>], count: usize) -> Option<Pose> {
     /// Metres, and sines of angles: what deviates by less has equal weight.
     const NEAR: f64 = 0.01;
