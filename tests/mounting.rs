@@ -171,9 +171,11 @@ fn near_scan(recipe: Recipe, lasers: &[[f64; 2]]) -> Points {
     points(&scanner, &image)
 }
 
-/// Checks that a scanner with a mounting is found, and that it explains nearly all points.
-fn is_found(moved: &Points) {
-    let scan = file(moved);
+/// Checks that the scanner with these lasers is found on a car, and that it explains nearly all points.
+fn is_found(lasers: &[[f64; 2]]) {
+    let moved =
+        Mover::NumPyDouble.moved(&near_scan(Recipe::Nebula, lasers), [0.0, 0.6, 1.7], [1.2, -0.1, 1.9]);
+    let scan = file(&moved);
     let scanner = Scanner::fit(std::slice::from_ref(&scan)).expect("a scanner is found");
     assert!(scanner.firings().is_some_and(|found| found.build().mounting.is_some()), "without a mounting");
     let share = scanner.share(&scan.cloud);
@@ -182,25 +184,19 @@ fn is_found(moved: &Points) {
 
 #[test]
 fn a_scanner_that_mostly_sees_its_own_car_is_found() {
-    let lasers: Vec<[f64; 2]> = (0..32)
-        .map(f64::from)
-        .map(|row| [14.972_364 - 1.000_137 * row + 0.000_311 * (row % 5.0), 0.082_385 - 0.006_713 * row])
-        .collect();
-    let moved =
-        Mover::NumPyDouble.moved(&near_scan(Recipe::Nebula, &lasers), [0.0, 0.6, 1.7], [1.2, -0.1, 1.9]);
-    is_found(&moved);
+    // With six digits, as in the calibration of a unit.
+    let elevation = |row: f64| 14.972_364 - 1.000_137 * row + 0.000_311 * (row % 5.0);
+    let laser = |row: i32| [elevation(row.into()), 0.082_385 - 0.006_713 * f64::from(row)];
+    is_found(&(0..32).map(laser).collect::<Vec<_>>());
 }
 
 #[test]
 fn a_scanner_whose_firings_are_no_planes_is_found() {
-    let elevation = |row: f64| 52.0 - 1.2 * row;
-    let lasers: Vec<[f64; 2]> = (0..64)
-        .map(f64::from)
-        .map(|row| [elevation(row), -5.0 - 0.05 * (elevation(row) / 5.0).powi(2)])
-        .collect();
-    let moved =
-        Mover::NumPyDouble.moved(&near_scan(Recipe::Nebula, &lasers), [0.0, 0.6, 1.7], [1.2, -0.1, 1.9]);
-    is_found(&moved);
+    let laser = |row: i32| {
+        let elevation = 52.0 - 1.2 * f64::from(row);
+        [elevation, -5.0 - 0.05 * (elevation / 5.0).powi(2)]
+    };
+    is_found(&(0..64).map(laser).collect::<Vec<_>>());
 }
 
 #[test]

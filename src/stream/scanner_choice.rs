@@ -192,7 +192,7 @@ fn fitted(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>
             [] => false,
             [only] => {
                 let mut open = vec![scan_of(frames[1], config)?];
-                // What was explained says only whether this is to the last bit.
+                // A frame that is explained only tells whether it is so to the last bit.
                 let first =
                     if explains_all && only.firings().is_none() { None } else { scan_of(frames[0], config)? };
                 let is_exact = explains_any(only, first.iter().chain(open.iter().flatten()));
