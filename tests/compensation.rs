@@ -37,7 +37,7 @@ fn the_measured_millimetres_are_found_again() {
     for (seed, (rotation, translation)) in (1..).zip(MOTIONS) {
         let measured = scans(&small(seed, 1)).swap_remove(0);
         let file = compensated(&measured, rotation, translation);
-        let (found, compensation) = undo(&positions(&file), true).expect("a motion is found");
+        let (found, compensation) = undo(&positions(&file)).expect("a motion is found");
         let Compensation::Turn(compensation) = compensation else { panic!("through no map") };
         let wrong = found.iter().zip(positions(&measured)).filter(|(a, b)| **a != *b).count();
         assert_eq!(wrong, 0);
@@ -136,7 +136,7 @@ fn what_was_not_moved_so_is_left_alone() {
         Points::new(),
     ];
     for (number, points) in others.iter().enumerate() {
-        assert!(undo(&positions(points), true).is_none(), "scan {number}");
+        assert!(undo(&positions(points)).is_none(), "scan {number}");
     }
 }
 

@@ -13,7 +13,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use common::formats::{
-    columns, csv, kitti, las, npy, npy_by_column, npy_doubles, nuscenes, pcd_extra, pcd_text, pcd_xyz, ply,
+    columns, csv, kitti, las, npy, npy_by_column, npy_doubles, nuscenes, pcd_characters, pcd_extra, pcd_text,
+    pcd_xyz, ply,
 };
 use common::messages::cloud;
 use common::scans::{scans, small};
@@ -36,6 +37,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         (2, pcd_xyz(points)),
         (2, pcd_extra(points)),
         (2, pcd_text(points)),
+        (2, pcd_characters(points)),
         (3, ply(points)),
         (4, csv(points)),
         (4, columns(points)),

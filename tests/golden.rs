@@ -12,8 +12,8 @@ use std::path::PathBuf;
 
 use crate::common::firings::{OusterDriver, ouster};
 use crate::common::formats::{
-    columns, csv, kitti, las, nclt, npy, npy_by_column, npy_doubles, npy_halves, nuscenes, pcd_extra,
-    pcd_text, pcd_velodyne, pcd_xyz, ply, ply_big_endian, ply_text,
+    columns, csv, kitti, las, nclt, npy, npy_by_column, npy_doubles, npy_halves, nuscenes, pcd_characters,
+    pcd_extra, pcd_text, pcd_velodyne, pcd_xyz, ply, ply_big_endian, ply_text,
 };
 use crate::common::scans::{compensated, random_points, rounded, scans, single_precision, small, unrounded};
 use crate::common::streams::{KNOWN, at_level, halved, moved_through_a_map, with_back_end};
@@ -423,6 +423,7 @@ fn odd_files() -> Vec<File> {
         ("3-fields.pcd", pcd_extra(&frames[2])),
         ("4-no-intensity.pcd", pcd_xyz(&frames[3])),
         ("5-text.pcd", pcd_text(some)),
+        ("5-characters.pcd", pcd_characters(some)),
         ("6-ring.pcd.bin", nuscenes(some)),
         ("7-colour.ply", ply(some)),
         ("8-random.bin", kitti(&random_points(200, 2))),

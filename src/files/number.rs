@@ -57,6 +57,7 @@ impl NumberWriter {
     /// of them. The rule must suit the type.
     pub(super) fn write(&mut self, value: &[u8], column: Column, out: &mut Vec<u8>) -> Result<()> {
         match column.scalar {
+            _ if column.rule == NumberRule::Character => out.extend_from_slice(value),
             Scalar::F32 => self.write_float(LittleEndian::read_f32(value).into(), column, out)?,
             Scalar::F64 => self.write_float(LittleEndian::read_f64(value), column, out)?,
             Scalar::U8 | Scalar::U16 | Scalar::U32 | Scalar::U64 => {
@@ -113,8 +114,8 @@ impl NumberWriter {
                     write_plain(&self.digits, exponent, point_zero, out);
                 }
             }
-            // Layout validation rejects this rule for floating-point types.
-            NumberRule::Integer => write!(out, "{value}")?,
+            // Layout validation rejects these rules for floating-point types.
+            NumberRule::Integer | NumberRule::Character => write!(out, "{value}")?,
         }
         Ok(())
     }

@@ -8,7 +8,9 @@ use super::field::{Declared, layout_of, name_of};
 use super::number::{self, NumberWriter, Survey};
 use super::records;
 use crate::ground::error::Result;
-use crate::scan::{Column, Field, Layout, Printf, Scalar, ScanFile, Separator, TextFormat, Wrapping};
+use crate::scan::{
+    Column, Field, Layout, NumberRule, Printf, Scalar, ScanFile, Separator, TextFormat, Wrapping,
+};
 
 /// Splits a file whose body starts at byte `start` and has at most `points` records of these fields, which
 /// must make a valid layout. The first line that does not look like those before it begins the `suffix`.
@@ -17,47 +19,165 @@ pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64
     let body = bytes.get(start..)?;
     // A header can claim any number of values, but each takes at least one byte of the line.
     let values: u64 = fields.iter().map(|field| u64::from(field.count())).sum();
-    if !(1..=first_line(body)?.len() as u64).contains(&values) {
+    let line = body.iter().position(|&byte| byte == b'\n').unwrap_or(body.len()) as u64 + 1;
+    if !(1..=line).contains(&values) {
         return None;
     }
     let scalars: Vec<Option<Scalar>> =
         fields.iter().flat_map(|field| (0..field.count()).map(|_| field.scalar)).collect();
-    let mut format = TextFormat::of_line(first_line(body)?);
-    let mut tokens: Vec<&str> = Vec::new(); // of all lines, line by line
-    let mut scratch = Vec::new();
-    let mut rest = body;
-    let mut lines = 0u64;
-    while lines < points
-        && let Some(line) = first_line(rest)
-        && format.read_line(line, &scalars, &mut tokens, &mut scratch).is_some()
-    {
-        rest = &rest[line.len()..];
-        lines += 1;
-        format.open_end = !line.ends_with('\n');
-    }
-    let found = find_format(&scalars, &tokens).or_else(|| {
-        // If the file was cut short, the last number may be incomplete too.
-        let last = tokens.len().checked_sub(scalars.len()).filter(|_| format.open_end)?;
-        tokens.truncate(last);
-        format.open_end = false;
-        let end = body.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
-        rest = &body[end..];
-        find_format(&scalars, &tokens)
-    });
-    let (printf, columns, values) = found?;
-    let records = tokens.len() / scalars.len();
-    (format.printf, format.columns) = (printf, columns);
-    let fields = as_stored(fields, &format.columns);
-    let body = side_by_side(&values, &format.columns, records);
-    let (layout, cloud) = records::split(valid(layout_of(fields, Wrapping::Text(format))?)?, &body);
+    let numbers = Body::of_numbers(body, &scalars, points);
+    let is_whole = |found: &Body| found.records as u64 == points;
+    let found = match numbers {
+        Some(numbers) if is_whole(&numbers) => numbers,
+        numbers => {
+            let characters = Body::with_characters(body, &scalars, points);
+            // The last one wins ties.
+            characters.into_iter().chain(numbers).max_by_key(|found| found.records)?
+        }
+    };
+    let fields = as_stored(fields, &found.format.columns);
+    let records = side_by_side(&found.values, &found.format.columns, found.records);
+    let (layout, cloud) = records::split(valid(layout_of(fields, Wrapping::Text(found.format))?)?, &records);
     Some(ScanFile {
         name: String::new(),
         cloud,
         layout,
         prefix: bytes[..start].to_vec(),
-        records,
-        suffix: rest.to_vec(),
+        records: found.records,
+        suffix: found.rest.to_vec(),
     })
+}
+
+/// A body as values.
+struct Body<'a> {
+    format: TextFormat,
+    records: usize,
+    /// Those of each column.
+    values: Vec<Vec<u8>>,
+    /// What follows the last record.
+    rest: &'a [u8],
+}
+
+impl<'a> Body<'a> {
+    /// A body in which all values are written as numbers.
+    fn of_numbers(body: &'a [u8], scalars: &[Option<Scalar>], points: u64) -> Option<Self> {
+        let mut format = TextFormat::of_line(first_line(body)?);
+        let mut tokens: Vec<&str> = Vec::new(); // of all lines, line by line
+        let mut scratch = Vec::new();
+        let mut rest = body;
+        let mut lines = 0u64;
+        while lines < points
+            && let Some(line) = first_line(rest)
+            && format.read_line(line, scalars, &mut tokens, &mut scratch).is_some()
+        {
+            rest = &rest[line.len()..];
+            lines += 1;
+            format.open_end = !line.ends_with('\n');
+        }
+        let found = find_format(scalars, &tokens).or_else(|| {
+            // If the file was cut short, the last number may be incomplete too.
+            let last = tokens.len().checked_sub(scalars.len()).filter(|_| format.open_end)?;
+            tokens.truncate(last);
+            format.open_end = false;
+            let end = body.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
+            rest = &body[end..];
+            find_format(scalars, &tokens)
+        });
+        let values;
+        (format.printf, format.columns, values) = found?;
+        Some(Body { format, records: tokens.len() / scalars.len(), values, rest })
+    }
+
+    /// A body in which the values of one byte are written as such, as C++ streams write characters and old versions of PCL
+    /// wrote their fields: any byte, even one that separates values elsewhere.
+    fn with_characters(body: &'a [u8], scalars: &[Option<Scalar>], points: u64) -> Option<Self> {
+        let of_numbers: Vec<Option<Scalar>> =
+            scalars.iter().copied().filter(|scalar| !is_character(scalar)).collect();
+        let count = scalars.len() - of_numbers.len();
+        if count == 0 {
+            return None;
+        }
+        let mut lines = Characters { format: None, tokens: Vec::new(), bytes: Vec::new() };
+        let mut rest = body;
+        let mut records = 0;
+        while (records as u64) < points
+            && let Some(after) = lines.read_line(rest, scalars)
+        {
+            rest = after;
+            records += 1;
+        }
+        // A line that was read in part.
+        lines.tokens.truncate(records * of_numbers.len());
+        let (printf, columns, values) = find_format(&of_numbers, &lines.tokens)?;
+        let mut of_numbers = columns.into_iter().zip(values);
+        let mut of_bytes = 0..;
+        let columns = scalars.iter().map(|scalar| match *scalar {
+            Some(scalar) if is_character(&Some(scalar)) => {
+                let bytes = lines.bytes.iter().copied().skip(of_bytes.next()?).step_by(count);
+                Some((Column { scalar, rule: NumberRule::Character }, bytes.take(records).collect()))
+            }
+            _ => of_numbers.next(),
+        });
+        let (columns, values) = columns.collect::<Option<Vec<_>>>()?.into_iter().unzip();
+        let format = TextFormat { printf, columns, ..lines.format? };
+        Some(Body { format, records, values, rest })
+    }
+}
+
+/// Whether a column may be written as characters.
+fn is_character(scalar: &Option<Scalar>) -> bool {
+    matches!(scalar, Some(Scalar::I8 | Scalar::U8))
+}
+
+/// Lines whose values of one byte are written as such, separated by spaces.
+struct Characters<'a> {
+    /// That of the first line, without columns.
+    format: Option<TextFormat>,
+    /// The numbers of all lines.
+    tokens: Vec<&'a str>,
+    bytes: Vec<u8>,
+}
+
+impl<'a> Characters<'a> {
+    /// Takes the values out of the next line. Returns what follows it; `None` if it is not like the lines before.
+    fn read_line(&mut self, mut rest: &'a [u8], scalars: &[Option<Scalar>]) -> Option<&'a [u8]> {
+        let mut scratch = Vec::new();
+        for (at, scalar) in scalars.iter().enumerate() {
+            if at > 0 {
+                rest = rest.strip_prefix(b" ")?;
+            }
+            if is_character(scalar) {
+                let (&byte, after) = rest.split_first()?;
+                self.bytes.push(byte);
+                rest = after;
+                continue;
+            }
+            let end = rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len());
+            let (token, after) = rest.split_at(end);
+            let token = std::str::from_utf8(token).ok()?;
+            number::parse(token, scalar.unwrap_or(Scalar::F64), &mut scratch)?;
+            self.tokens.push(token);
+            rest = after;
+        }
+        let format = self.format.get_or_insert_with(|| {
+            let trailing_separator = rest.starts_with(b" ");
+            let end = &rest[usize::from(trailing_separator)..];
+            TextFormat {
+                trailing_separator,
+                crlf: end.starts_with(b"\r\n"),
+                open_end: end.is_empty(),
+                ..TextFormat::default()
+            }
+        });
+        if format.trailing_separator {
+            rest = rest.strip_prefix(b" ")?;
+        }
+        if rest.is_empty() {
+            format.open_end = true;
+            return Some(rest);
+        }
+        rest.strip_prefix(format.line_end().as_bytes())
+    }
 }
 
 /// How numbers are printed, and the columns with the values of each. `None` if there are no columns, or if no rule
@@ -306,7 +426,7 @@ mod tests {
 
     use super::*;
     use crate::files::tests::{comes_back, pcd};
-    use crate::scan::{Channel, NumberRule, PointCloud};
+    use crate::scan::{Channel, PointCloud};
 
     fn file(body: &str) -> Vec<u8> {
         let header = pcd("x y z intensity ring", "4 4 4 4 2", "F F F F U", "1 1 1 1 1", 3, "ascii");
@@ -414,6 +534,37 @@ mod tests {
             "1E5 2 3 4 5\n",
         ] {
             assert!(comes_back("a.pcd", file(body)).is_opaque(), "{body:?}");
+        }
+    }
+
+    #[test]
+    fn values_of_a_byte_may_be_characters() {
+        let file = |points, body: &[u8]| {
+            let header = pcd("x tag y line", "4 1 4 1", "F U F I", "1 1 1 1", points, "ascii");
+            [&header, body].concat()
+        };
+        // Every byte, those that separate and end lines and the digits too.
+        let mut body = Vec::new();
+        for byte in 0..=255u8 {
+            body.extend_from_slice(format!("{}.500000 ", u32::from(byte) * 7).as_bytes());
+            body.extend_from_slice(&[byte, b' ', b'1', b'.', b'2', b'5', b' ', byte ^ 10, b'\n']);
+        }
+        let scan = comes_back("a.pcd", file(256, &body));
+        let [fixed, character] = [NumberRule::Fixed(6), NumberRule::Character];
+        assert_eq!(rules(&scan), [fixed, character, NumberRule::Fixed(2), character]);
+        assert_eq!((scan.records, scan.suffix.len()), (256, 0));
+        assert_eq!(scan.cloud.channels[1].bytes, (0..=255).collect::<Vec<u8>>());
+        for (body, records, suffix) in [
+            (&b"1.5 \n 2 \x80"[..], 1, &b""[..]),
+            (b"1.5 \xff 2 \r\r\n2.5 \0 2  \r\n", 2, b""),
+            (b"1.5 \x01 2 \x02 \n2.5 \x03 4 \x05 \n", 2, b""),
+            (b"1.5 1 2 \x02\n2.5 10 4 \x05\n", 1, b"2.5 10 4 \x05\n"),
+            (b"1.5 \x01 2 \x02\n2.5 \x03 4", 1, b"2.5 \x03 4"),
+            // Numbers, of which more lines can be read than of characters.
+            (b"1.5 1 2 3\n2.5 10 4 5\n3.5 1", 2, b"3.5 1"),
+        ] {
+            let scan = comes_back("a.pcd", file(3, body));
+            assert_eq!((scan.records, &scan.suffix[..]), (records, suffix), "{body:?}");
         }
     }
 

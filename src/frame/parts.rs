@@ -191,7 +191,7 @@ impl FrameParts {
         {
             return cloud;
         }
-        let undone = motion::undo(&cloud.positions, config.undoes_map()).or_else(|| {
+        let undone = motion::undo(&cloud.positions).or_else(|| {
             let (positions, stamped) = by_time::undo(&cloud, firings?)?;
             Some((positions, Compensation::Stamped(stamped)))
         });

@@ -278,13 +278,6 @@ impl EncoderConfig {
         self.positions != Positions::Formula
     }
 
-    /// Whether compensation through a map is undone. It takes several times as long as everything else at the
-    /// lowest level.
-    pub(crate) fn undoes_map(&self) -> bool {
-        let is_quickest = self.modelling() == Modelling::Packed;
-        self.undoes_compensation() && self.coder == Coder::Context && !is_quickest
-    }
-
     /// The parameters of a frame, as far as they do not depend on it.
     pub(crate) fn frame_parameters(&self) -> Result<FrameParameters> {
         Ok(FrameParameters {

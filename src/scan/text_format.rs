@@ -109,7 +109,7 @@ impl Scalar {
 /// How a value is written as text. The rule in C or Python is in brackets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NumberRule {
-    /// A decimal integer (`%d`); the only rule for integer types.
+    /// A decimal integer (`%d`).
     Integer,
     /// This many digits after the decimal point (`%.Nf`).
     Fixed(u8),
@@ -124,6 +124,8 @@ pub enum NumberRule {
         /// A whole number ends in `.0`.
         point_zero: bool,
     },
+    /// The character with this code (C++ streams); only for integers of one byte.
+    Character,
 }
 
 impl NumberRule {
@@ -135,6 +137,7 @@ impl NumberRule {
             NumberRule::Scientific(digits) => (2, digits),
             NumberRule::Significant(digits) => (3, digits),
             NumberRule::Shortest { double, point_zero } => (4, u8::from(double) | u8::from(point_zero) << 1),
+            NumberRule::Character => (5, 0),
         }
     }
 
@@ -145,6 +148,7 @@ impl NumberRule {
             (2, digits) => NumberRule::Scientific(digits),
             (3, digits) => NumberRule::Significant(digits),
             (4, flags @ 0..4) => NumberRule::Shortest { double: flags & 1 != 0, point_zero: flags & 2 != 0 },
+            (5, 0) => NumberRule::Character,
             _ => return None,
         })
     }
@@ -157,6 +161,7 @@ impl NumberRule {
             }
             NumberRule::Significant(digits) => scalar.is_float() && (1..=MAX_DIGITS).contains(&digits),
             NumberRule::Shortest { .. } => scalar.is_float(),
+            NumberRule::Character => scalar.size() == 1,
         }
     }
 }

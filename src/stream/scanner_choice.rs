@@ -279,8 +279,7 @@ fn scan_of(frame: &FrameInput, config: &EncoderConfig) -> Result<Option<ScanFile
 /// Points as they were measured and in the order of arrival.
 fn as_measured(cloud: PointCloud, config: &EncoderConfig) -> PointCloud {
     let mut cloud = sorted::in_order_of_arrival(&cloud).map_or(cloud, |(_, cloud)| cloud);
-    let undone =
-        config.undoes_compensation().then(|| motion::measured(&cloud.positions, config.undoes_map()));
+    let undone = config.undoes_compensation().then(|| motion::measured(&cloud.positions));
     if let Some(positions) = undone.flatten() {
         cloud.positions = positions;
     }

@@ -87,6 +87,17 @@ pub fn pcd(
     bytes
 }
 
+/// PCD as text, with a field of a byte that is written as a character, as by old versions of PCL.
+pub fn pcd_characters(points: &[[f32; 4]]) -> Vec<u8> {
+    let binary = pcd("x y z tag", "4 4 4 1", "F F F U", points, |_, _| Vec::new());
+    let mut bytes = String::from_utf8(binary).unwrap().replace("DATA binary", "DATA ascii").into_bytes();
+    for [x, y, z, i] in points {
+        bytes.extend_from_slice(format!("{x:.6} {y:.6} {z:.6} ").as_bytes());
+        bytes.extend([(i * 255.0) as u8, b'\n']);
+    }
+    bytes
+}
+
 /// PCD as text, x, y, z and intensity.
 pub fn pcd_text(points: &[[f32; 4]]) -> Vec<u8> {
     let count = points.len();

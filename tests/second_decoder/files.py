@@ -5,7 +5,7 @@ from fractions import Fraction
 from math import isfinite, isnan
 
 import arrow
-from layout import ARROW, BIG_ENDIAN, BY_FIELD, CRLF, F32, FIXED, HALF, INTEGER, OPEN_END, PCD_COMPRESSED, SCALED
+from layout import ARROW, BIG_ENDIAN, BY_FIELD, CHARACTER, CRLF, F32, FIXED, HALF, INTEGER, OPEN_END, PCD_COMPRESSED, SCALED
 from layout import SCIENTIFIC, Axis
 from layout import SEPARATOR_FLAGS, SEPARATORS, SIGNIFICANT, SPACE_AFTER, TEXT, TRAILING_SEPARATOR, TYPES, WIDENED
 from models import clamp, f32, to_int
@@ -222,12 +222,14 @@ def text(layout, records):
         lines.append(separator.join(number(v, *c) for v, c in zip(values, layout.columns)) + end)
     if layout.flags & OPEN_END and lines:
         lines[-1] = lines[-1].removesuffix(line_end)
-    return "".join(lines).encode()
+    return "".join(lines).encode("latin-1")
 
 
 def number(v, scalar, rule, parameter):
     if rule == INTEGER:
         return str(v)
+    if rule == CHARACTER:
+        return chr(v & 255)
     sign = "-" if struct.pack("<d", v)[7] >> 7 else ""
     v = abs(v)
     if not isfinite(v):

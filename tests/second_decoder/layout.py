@@ -13,7 +13,7 @@ PLAIN, PCD_COMPRESSED, TEXT, BIG_ENDIAN, SCALED, WIDENED, BY_FIELD, ARROW = rang
 TYPES = "bBhHiIqQfd"
 I8, U8, I16, U16, I32, U32, I64, U64, F32, F64 = range(10)
 SIZES = [struct.calcsize("<" + letter) for letter in TYPES]
-INTEGER, FIXED, SCIENTIFIC, SIGNIFICANT, SHORTEST = range(5)
+INTEGER, FIXED, SCIENTIFIC, SIGNIFICANT, SHORTEST, CHARACTER = range(6)
 # Of a text: flags, and separators by theirs.
 CRLF, TRAILING_SEPARATOR, SPACE_AFTER, OPEN_END = 1, 4, 32, 64
 SEPARATORS = {0: " ", 2: "\t", 8: ",", 16: ";"}
@@ -129,9 +129,9 @@ class Layout:
         return self.rule(F32, *reader.take(2))
 
     def rule(self, kind, rule, parameter):
-        if rule > SHORTEST or (rule == INTEGER) != (kind < F32):
+        if rule > CHARACTER or (rule in (INTEGER, CHARACTER)) != (kind < F32) or rule == CHARACTER and kind > U8:
             raise Refused("a rule that does not suit a type")
-        most = (0, 40, 40, 40, 3)[rule]
+        most = (0, 40, 40, 40, 3, 0)[rule]
         if parameter > most or rule == SIGNIFICANT and parameter == 0:
             raise Refused("unknown rule of a text")
         return rule, parameter

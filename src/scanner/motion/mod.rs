@@ -47,18 +47,15 @@ pub enum Compensation {
 }
 
 /// The points as they were measured, and how they were moved to those of the file, with the misses still to
-/// be found. `None` if they were not moved in any known way; the way through a map is tried only if
-/// `through_map`.
-pub fn undo(positions: &[[f32; 3]], through_map: bool) -> Option<(Vec<[f32; 3]>, Compensation)> {
-    let of_map = || world::undo(positions).map(|(points, world)| (points, Compensation::World(world)));
-    let of_turn = || find::undo(positions).map(|(points, turn)| (points, Compensation::Turn(turn)));
-    through_map.then(of_map).flatten().or_else(of_turn)
+/// be found. `None` if they were not moved in any known way.
+pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Compensation)> {
+    let of_map = world::undo(positions).map(|(points, world)| (points, Compensation::World(world)));
+    of_map.or_else(|| find::undo(positions).map(|(points, turn)| (points, Compensation::Turn(turn))))
 }
 
 /// The points as they were measured; as [`undo`], but faster.
-pub fn measured(positions: &[[f32; 3]], through_map: bool) -> Option<Vec<[f32; 3]>> {
-    let of_map = through_map.then(|| world::measured(positions)).flatten();
-    of_map.or_else(|| find::undo(positions).map(|(points, _)| points))
+pub fn measured(positions: &[[f32; 3]]) -> Option<Vec<[f32; 3]>> {
+    world::measured(positions).or_else(|| find::undo(positions).map(|(points, _)| points))
 }
 
 impl Compensation {
