@@ -298,8 +298,26 @@ fn a_terminal_gets_no_binary() {
 #[cfg(target_os = "linux")]
 fn a_folder_that_takes_no_files_is_not_called_missing() {
     let bench = Bench::encoded();
-    let error = bench.fails("encode seq -o /proc/out.lpc", "/proc");
-    assert!(error.contains("takes no new files") && !error.contains("does not exist"), "{error}");
+    for args in [
+        "encode seq -o /proc/out.lpc",
+        "encode seq -o /proc/out.lpc --resume",
+        "encode seq -o /proc/out/",
+        "decode out.lpc -o /proc/back",
+        "decode out.lpc -o /proc/new/back",
+        "synth -o /proc/drive --frames 1",
+        "man -o /proc/pages",
+    ] {
+        let output = bench.command(args).output().unwrap();
+        let says = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{args}: {says}");
+        let error =
+            says.lines().find(|line| line.starts_with("lidarpc: /proc: takes no new files or folders ("));
+        let error = error.unwrap_or_else(|| panic!("{args}: {says}"));
+        assert!(error.contains("os error") && error.ends_with("; choose another folder"), "{error}");
+        assert!(!says.contains("does not exist"), "{says}");
+    }
+    let error = bench.fails("decode out.lpc -o out.lpc/back", "out.lpc/back");
+    assert!(error.contains("is not a folder"), "{error}");
 }
 
 // ---- several files ----

@@ -6,6 +6,7 @@ use anyhow::{Context, Result};
 use clap::CommandFactory;
 
 use super::args::{Args, CompletionsArgs, ManArgs};
+use super::output::create_folders;
 
 /// The name of the program in shells.
 const PROGRAM: &str = "lidarpc";
@@ -22,6 +23,6 @@ pub fn man(args: &ManArgs) -> Result<()> {
         return Ok(clap_mangen::Man::new(Args::command()).render(&mut io::stdout().lock())?);
     };
     let name = folder.display().to_string();
-    std::fs::create_dir_all(folder).with_context(|| name.clone())?;
+    create_folders(folder)?;
     clap_mangen::generate_to(Args::command(), folder).with_context(|| name)
 }

@@ -59,13 +59,7 @@ impl FileOutput {
             return Ok(FileOutput::Direct(Box::new(File::create(path)?)));
         };
         let folder = parent(&target);
-        let file = temporary::file(folder).map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound if folder.is_dir() => {
-                let what = "takes no new files; choose another folder".to_owned();
-                Error::Input { path: folder.to_path_buf(), what }
-            }
-            _ => Error::from(error).at(folder),
-        })?;
+        let file = temporary::file(folder).map_err(|error| not_created(folder, folder, error))?;
         let _remove = RemoveOnSignal::new(file.path());
         Ok(FileOutput::Temporary { file, target, force, _remove })
     }
@@ -282,7 +276,7 @@ impl FolderOutput {
             let target = self.folder.join(name);
             let above = if name.ends_with('/') { target.as_path() } else { parent(&target) };
             if !folders.contains(above) {
-                self.made.add(above).map_err(|e| Error::from(e).at(above))?;
+                self.made.add(above)?;
                 folders.insert(above.to_path_buf());
             }
             if name.ends_with('/') {
@@ -391,21 +385,23 @@ struct MadeFolders(Vec<PathBuf>);
 
 impl MadeFolders {
     /// Creates `folder` and missing parent folders.
-    fn make(folder: &Path) -> io::Result<Self> {
+    fn make(folder: &Path) -> Result<Self> {
         let mut made = MadeFolders(Vec::new());
         made.add(folder)?;
         Ok(made)
     }
 
     /// Creates `folder` and missing parent folders.
-    fn add(&mut self, folder: &Path) -> io::Result<()> {
+    fn add(&mut self, folder: &Path) -> Result<()> {
         let missing = folder.ancestors().take_while(|folder| !folder.as_os_str().is_empty());
         let missing = missing.take_while(|folder| fs::symlink_metadata(folder).is_err());
         // The deepest first, which is the order in which they can be removed.
         self.0.splice(..0, missing.map(Path::to_path_buf));
         match fs::metadata(folder) {
-            Ok(about) if !about.is_dir() => Err(io::ErrorKind::NotADirectory.into()),
-            _ => fs::create_dir_all(folder),
+            Ok(about) if !about.is_dir() => {
+                Err(Error::from(io::Error::from(io::ErrorKind::NotADirectory)).at(folder))
+            }
+            _ => create_folders(folder),
         }
     }
 
@@ -421,6 +417,25 @@ impl Drop for MadeFolders {
             let _ = fs::remove_dir(folder);
         }
     }
+}
+
+/// Creates a folder and missing parent folders.
+///
+/// # Errors
+/// Naming the folder, or the one that does not take it.
+pub fn create_folders(folder: &Path) -> Result<()> {
+    let within = folder.ancestors().find(|above| above.is_dir()).unwrap_or(Path::new("."));
+    fs::create_dir_all(folder).map_err(|error| not_created(folder, within, error))
+}
+
+/// The error that `path` cannot be created. A folder in which nothing can be created, as /proc, may say that it does not
+/// exist; the error is then about that folder.
+pub fn not_created(path: &Path, within: &Path, error: io::Error) -> Error {
+    if error.kind() == io::ErrorKind::NotFound && within.is_dir() {
+        let what = format!("takes no new files or folders ({error}); choose another folder");
+        return Error::Input { path: within.to_path_buf(), what };
+    }
+    Error::from(error).at(path)
 }
 
 /// The name of an output in messages.

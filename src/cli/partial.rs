@@ -9,7 +9,7 @@ use crate::ground::error::{Error, Result};
 use tempfile::TempPath;
 
 use super::errors::about;
-use super::output::{parent, place, replaceable, through_link};
+use super::output::{not_created, parent, place, replaceable, through_link};
 use super::temporary;
 
 /// The suffix that is added to the output's name for the partial stream.
@@ -126,7 +126,7 @@ impl LockedFile {
     fn open(mut path: PathBuf) -> anyhow::Result<Self> {
         loop {
             let file = File::options().read(true).write(true).create(true).truncate(false).open(&path);
-            let file = file.map_err(|e| Error::from(e).at(&path))?;
+            let file = file.map_err(|error| not_created(&path, parent(&path), error))?;
             if !lock(&file) {
                 let what =
                     "is being written by another run; wait for that, or choose another output".to_owned();

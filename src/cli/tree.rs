@@ -21,7 +21,7 @@ use super::encode::{LeftOutReport, Report, encode_whole, remove, summary};
 use super::errors::{NotWhole, say, wrong_usage};
 use super::frames::{self, Found};
 use super::input::is_pipe;
-use super::output::{parent, print_json};
+use super::output::{create_folders, parent, print_json};
 use super::{decode, in_memory, progress, table};
 
 /// Whether an output is a folder: it is one, or its name ends in a slash.
@@ -211,7 +211,7 @@ fn encode_drive(
     let args = &EncodeArgs { output: Some(drive.output.clone()), ..args.clone() };
     let place = drive.output.display().to_string();
     if let Some(folder) = drive.output.parent() {
-        fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+        create_folders(folder)?;
     }
     let mut config = config.clone();
     frames::settle(&drive.found.frames, &mut config, &place, quiet)?;
