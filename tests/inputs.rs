@@ -394,7 +394,30 @@ fn every_command_reports_to_machines() {
     let joined = bench.json("cat out.lpc -o joined.lpc --json");
     assert_eq!((&joined["streams"], &joined["frames"]), (&1.into(), &10.into()));
     let repaired = bench.json("repair out.lpc -o repaired.lpc --json");
-    assert_eq!((&repaired["frames"], &repaired["lost"]["frames"]), (&10.into(), &0.into()));
+    assert_eq!(repaired["frames"], 10);
+}
+
+#[test]
+fn only_what_was_lost_is_reported_as_lost() {
+    let bench = Bench::encoded();
+    let mut bad = bench.read("out.lpc");
+    let second = bench.json("info out.lpc --json")["groups"][1]["offset"].as_u64().unwrap() as usize;
+    bad[second + 9] ^= 1;
+    fs::write(bench.path("bad.lpc"), bad).unwrap();
+    bench.ok("cut out.lpc --frames 2 -o one.lpc");
+    let expected = serde_json::json!([{ "file": "bad.lpc", "places": 1, "frames": 2, "maybe_more": false }]);
+    for (args, lost) in [
+        ("decode one.lpc -o a --keep-going --json --force", serde_json::json!([])),
+        ("decode one.lpc bad.lpc -o b --keep-going --json --force", expected.clone()),
+        ("repair out.lpc -o c.lpc --json", serde_json::json!([])),
+        ("repair bad.lpc -o d.lpc --json", expected.clone()),
+    ] {
+        let output = bench.command(args).output().unwrap();
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(report["lost"], lost, "{args}");
+        let is_whole = lost.as_array().unwrap().is_empty();
+        assert_eq!(output.status.code(), Some(if is_whole { 0 } else { 3 }), "{args}");
+    }
 }
 
 // ---- help and usage ----

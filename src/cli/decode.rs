@@ -32,7 +32,7 @@ struct Report {
     /// Files beside the scans; their bytes are included in `file_bytes`.
     files_beside: u64,
     file_bytes: u64,
-    /// Losses, by file.
+    /// The losses of each damaged file.
     lost: Vec<LossReport>,
     seconds: f64,
 }
@@ -124,7 +124,7 @@ fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, 
         frames: files - beside,
         files_beside: beside,
         file_bytes: bytes,
-        lost: all_losses.iter().map(|(losses, _)| losses.report()).collect(),
+        lost: all_losses.iter().filter_map(|(losses, _)| losses.report()).collect(),
         seconds: start.elapsed().as_secs_f64(),
     };
     if args.json {

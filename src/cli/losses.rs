@@ -23,10 +23,13 @@ pub struct Losses {
     maybe_more: bool,
 }
 
-/// The machine-readable numbers of losses.
-#[derive(Clone, Copy, Debug, Serialize)]
+/// The machine-readable losses of a damaged input.
+#[derive(Clone, Debug, Serialize)]
 pub struct LossReport {
+    file: String,
+    /// Number of damaged places.
     places: u64,
+    /// Number of frames lost there; 0 if only what exists twice, or no frame needs, was hit.
     frames: u64,
     maybe_more: bool,
 }
@@ -65,9 +68,10 @@ impl Losses {
         eprintln!("lidarpc: {}", format!("{line}: {}", lost.why).replace(char::is_control, "?"));
     }
 
-    /// The machine-readable report.
-    pub fn report(&self) -> LossReport {
-        LossReport { places: self.places, frames: self.frames, maybe_more: self.maybe_more }
+    /// The machine-readable report; `None` if nothing was lost.
+    pub fn report(&self) -> Option<LossReport> {
+        let &Losses { places, frames, maybe_more, .. } = self;
+        (places > 0).then(|| LossReport { file: self.input.clone(), places, frames, maybe_more })
     }
 
     /// An error if anything was lost.

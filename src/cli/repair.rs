@@ -19,7 +19,8 @@ use super::{recording, table};
 struct Report {
     file: String,
     frames: u64,
-    lost: LossReport,
+    /// Empty if the file is whole.
+    lost: Vec<LossReport>,
 }
 
 pub fn run(args: &RepairArgs, quiet: bool) -> Result<()> {
@@ -40,7 +41,8 @@ pub fn run(args: &RepairArgs, quiet: bool) -> Result<()> {
     let frames = frames.map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
     if args.json {
-        print_json(&Report { file: name, frames, lost: losses.report() })?;
+        let lost = losses.report().into_iter().collect();
+        print_json(&Report { file: name, frames, lost })?;
     } else if !quiet {
         eprintln!("{} copied", table::count(frames, "frame"));
     }
