@@ -1400,3 +1400,37 @@ fn what_is_intact_of_a_damaged_file_is_saved() {
     drop(run);
     assert_eq!(bench.files("piped"), left);
 }
+
+#[test]
+fn a_range_of_a_damaged_file_counts_what_it_leaves_out_and_what_it_lost() {
+    let bench = Bench::new();
+    bench.write_files("seq", &odd_files());
+    fs::write(bench.path("seq/notes.txt"), b"of the drive").unwrap();
+    fs::write(bench.path("seq/calib.txt"), b"1 0 0").unwrap();
+    bench.ok("encode seq -o out.lpc --gop 2 --all");
+    let mut bytes = bench.read("out.lpc");
+    let info = bench.json("info out.lpc --json");
+    let offset = |group: usize| info["groups"][group]["offset"].as_u64().unwrap() as usize;
+    bytes[offset(1) + 9] ^= 1;
+    fs::write(bench.path("bad.lpc"), &bytes).unwrap();
+    let beside = "left out 2 files beside the scans, which only a whole stream gives";
+    for (args, code, expected) in [
+        ("decode out.lpc -o a --frames 0..2", 0, &[beside, "a: 2 frames"][..]),
+        ("decode out.lpc -o b --frames 0..2 --keep-going", 0, &[beside, "b: 2 frames"]),
+        ("decode bad.lpc -o c --frames 0..2 --keep-going", 0, &[beside, "c: 2 frames"]),
+        ("decode bad.lpc -o d --frames 3..5 --keep-going", 3, &[beside, "1 frame saved, 1 frame lost"]),
+        ("decode bad.lpc -o e --frames 20..30 --keep-going", 1, &["holds only frames 0 to 9, not 20..30"]),
+        ("decode bad.lpc -o f --keep-going", 3, &["10 frames saved, 2 frames lost"]),
+    ] {
+        let output = bench.command(args).output().unwrap();
+        let says = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{args}: {says}");
+        assert!(expected.iter().all(|line| says.contains(line)), "{args}: {says}");
+    }
+    assert!(!bench.path("e").exists());
+    // Lost files beside the scans are not among those left out, nor of a range.
+    bytes[offset(5) + 9] ^= 1;
+    fs::write(bench.path("worse.lpc"), &bytes).unwrap();
+    let says = bench.says("decode worse.lpc -o g --frames 8.. --keep-going");
+    assert!(says.starts_with("g: 2 frames: "), "{says}");
+}

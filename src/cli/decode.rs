@@ -96,7 +96,7 @@ fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, 
     for path in &args.inputs {
         let input = open(path)?;
         let before = files;
-        let mut losses = Losses::new(path);
+        let mut losses = Losses::new(path, options.frames);
         let write = |frame: DecodedFrame| {
             let is_beside = frame.header.stamp.unit == Unit::Beside;
             let file = converter.file(frame)?;
@@ -189,7 +189,7 @@ pub fn chosen_frames(
 
 /// Decodes as the arguments say: all frames or an error, or the intact ones. Calls `work` on each frame, and
 /// passes the results to `sink`, in order. Returns the number of files beside the scans that are left out because only
-/// some frames are wanted; in damaged streams these are not counted.
+/// some frames are wanted; of a damaged stream, those that are intact.
 fn decode<T: Send>(
     args: &DecodeArgs,
     input: Input,
@@ -201,15 +201,14 @@ fn decode<T: Send>(
     if !args.keep_going {
         return input.decode(options, work, sink);
     }
-    let recovered = edit::recover(BufReader::new(input.rewindable()?), options, |part| match part {
+    edit::recover(BufReader::new(input.rewindable()?), options, |part| match part {
         // Only now: whether a frame is lost with its group is known after the whole group is decoded.
         Recovered::Frame(frame) => sink(work(*frame)?),
         Recovered::Lost(lost) => {
             losses.tell(&lost);
             Ok(())
         }
-    });
-    recovered.map(|()| 0)
+    })
 }
 
 /// Writes the single selected frame to stdout.
@@ -222,7 +221,7 @@ fn to_stdout(
 ) -> Result<()> {
     let input = open(path)?;
     let mut only: Option<DecodedFrame> = None;
-    let mut losses = Losses::new(path);
+    let mut losses = Losses::new(path, options.frames);
     let decoded =
         decode(args, input, options, &mut losses, DecodedFrame::checked, |frame| match only.replace(frame) {
             None => Ok(()),

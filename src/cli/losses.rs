@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::container::Lost;
+use crate::stream::FrameRange;
 use anyhow::Result;
 use serde::Serialize;
 
@@ -17,6 +18,8 @@ const MOST_NAMES: usize = 10;
 pub struct Losses {
     /// The name of the input in messages.
     input: String,
+    /// The frames that are wanted; others do not count.
+    wanted: FrameRange,
     places: u64,
     frames: u64,
     /// Whether an unknown number of further frames was lost.
@@ -35,11 +38,11 @@ pub struct LossReport {
 }
 
 impl Losses {
-    pub fn new(input: &Path) -> Self {
-        Losses { input: name_of(input), places: 0, frames: 0, maybe_more: false }
+    pub fn new(input: &Path, wanted: FrameRange) -> Self {
+        Losses { input: name_of(input), wanted, places: 0, frames: 0, maybe_more: false }
     }
 
-    /// Reports one loss in a line.
+    /// Reports one loss in a line, with all frames that were lost with it.
     pub fn tell(&mut self, lost: &Lost) {
         self.places += 1;
         let frames = match &lost.frames {
@@ -49,7 +52,7 @@ impl Losses {
             }
             Some(frames) if frames.is_empty() => "lost, but no frame".to_owned(),
             Some(frames) => {
-                self.frames += frames.end - frames.start;
+                self.frames += self.wanted.count_of(frames.end) - self.wanted.count_of(frames.start);
                 match frames.end - frames.start {
                     1 => format!("lost, with frame {}", frames.start),
                     _ => format!("lost, with frames {} to {}", frames.start, frames.end - 1),

@@ -4,6 +4,7 @@ use std::io::{BufReader, Write};
 use std::path::PathBuf;
 
 use crate::edit::{self, Named};
+use crate::stream::FrameRange;
 use anyhow::Result;
 use serde::Serialize;
 
@@ -31,7 +32,7 @@ pub fn run(args: &RepairArgs, quiet: bool) -> Result<()> {
     let stream = open(&args.input)?.rewindable().map_err(|error| about(error, &input))?;
     keep_inputs(&args.output, std::slice::from_ref(&args.input))?;
     let mut output = FileOutput::binary(&args.output, args.force)?;
-    let mut losses = Losses::new(&args.input);
+    let mut losses = Losses::new(&args.input, FrameRange::default());
     let mut writer = output.writer();
     let named = Named { path: PathBuf::from(input), stream: BufReader::new(stream) };
     let frames = edit::repair(named, &args.limits.limits(), &mut writer, |lost| losses.tell(&lost))

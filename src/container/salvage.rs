@@ -147,9 +147,9 @@ impl<R: Read + Seek> SalvageReader<R> {
         self.scanners.get(id)
     }
 
-    /// Whether an intact index gives the numbers of the frames.
-    pub fn has_index(&self) -> bool {
-        self.index.is_some()
+    /// The index that gives the numbers of the frames, if it is intact.
+    pub fn index(&self) -> Option<&Index> {
+        self.index.as_ref()
     }
 
     /// The next part; `None` after the last.
@@ -187,7 +187,7 @@ impl<R: Read + Seek> SalvageReader<R> {
             return Ok(None);
         }
         let why = "the stream is cut short: its index or its end is missing".to_owned();
-        let frames = self.has_index().then_some(self.next_frame..self.next_frame);
+        let frames = self.index.is_some().then_some(self.next_frame..self.next_frame);
         Ok(Some(Salvaged::Lost(Lost { bytes: self.size..self.size, frames, names: Vec::new(), why })))
     }
 
@@ -216,7 +216,7 @@ impl<R: Read + Seek> SalvageReader<R> {
         }
         let names = self.names_in(bytes.clone())?;
         (self.position, self.next_frame) = (offset, frame);
-        let frames = self.has_index().then_some(frames);
+        let frames = self.index.is_some().then_some(frames);
         let why = if bytes.is_empty() { "records are missing" } else { "checksums do not match" }.to_owned();
         Ok(Some(Lost { bytes, frames, names, why }))
     }

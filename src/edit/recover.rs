@@ -25,16 +25,18 @@ pub enum Recovered {
 /// Decodes all intact groups of a damaged stream, and passes frames and losses to `sink`, in order. A group
 /// is lost if its record is damaged or missing, or if every copy of a scanner that it needs is. Frames keep
 /// their numbers if the index is intact; otherwise the recovered frames are numbered consecutively. An
-/// undamaged stream is recovered completely.
+/// undamaged stream is recovered completely. Returns the number of intact files beside the scans that are left out because
+/// only some frames are requested.
 ///
 /// # Errors
-/// If the input fails, contains no record at all or has another version of the format, or if the sink fails.
+/// If the input fails, contains no record at all or has another version of the format, if its index tells that there
+/// are no such frames, or if the sink fails.
 pub fn recover(
     input: impl Read + Seek + Send,
     options: &DecodeOptions,
     mut sink: impl FnMut(Recovered) -> Result<()>,
-) -> Result<()> {
-    let groups = RecoveredGroups::open(input, &options.limits, options.frames)?;
+) -> Result<u64> {
+    let mut groups = RecoveredGroups::open(input, &options.limits, options.frames)?;
     let work = |part| {
         Ok(match part {
             Part::Lost(lost) => vec![Recovered::Lost(lost)],
@@ -48,7 +50,12 @@ pub fn recover(
         })
     };
     let deliver = |parts: Vec<Recovered>| parts.into_iter().try_for_each(&mut sink);
-    run_ordered(resolve_threads(options.threads), groups, work, deliver)
+    run_ordered(resolve_threads(options.threads), &mut groups, work, deliver)?;
+    if let Some(index) = groups.reader.index() {
+        // There may be more scans than the index counts, if the bytes come from several streams.
+        options.frames.check(groups.scans.max(index.scan_count()))?;
+    }
+    Ok(groups.left_out)
 }
 
 /// Copies all intact groups of a damaged stream to a new one without decoding them; returns the number of
@@ -103,6 +110,10 @@ struct RecoveredGroups<R> {
     range: FrameRange,
     /// The files of each group so far: their names, sizes and checksums. Those without a name may repeat.
     known: HashSet<Vec<(String, u64, u32)>>,
+    /// The number of the frame after the last scan so far.
+    scans: u64,
+    /// Number of files beside the scans so far that are left out because only some frames are requested.
+    left_out: u64,
 }
 
 impl<R: Read + Seek> RecoveredGroups<R> {
@@ -111,7 +122,8 @@ impl<R: Read + Seek> RecoveredGroups<R> {
             Error::Corrupt { what, .. } => Error::Usage(format!("{what}; nothing of it can be saved")),
             other => other,
         })?;
-        Ok(RecoveredGroups { reader, scanners: UsedScanners::default(), range, known: HashSet::new() })
+        let (scanners, known) = (UsedScanners::default(), HashSet::new());
+        Ok(RecoveredGroups { reader, scanners, range, known, scans: 0, left_out: 0 })
     }
 
     /// Whether a group is a copy of an earlier one; if not, it counts as earlier from now on.
@@ -136,11 +148,19 @@ impl<R: Read + Seek> RecoveredGroups<R> {
             };
             let frames = match &part {
                 Part::Group(_, job) => {
-                    Some((job.first_frame, job.group.frames.len() as u64, job.group.is_beside()))
+                    let (count, is_beside) = (job.group.frames.len() as u64, job.group.is_beside());
+                    match is_beside {
+                        true if !self.range.is_all() => self.left_out += count,
+                        true => {}
+                        false => self.scans = self.scans.max(job.first_frame + count),
+                    }
+                    Some((job.first_frame, count, is_beside))
                 }
-                Part::Lost(lost) => {
-                    lost.frames.as_ref().map(|frames| (frames.start, frames.end - frames.start, false))
-                }
+                Part::Lost(lost) => lost.frames.as_ref().map(|frames| {
+                    let is_beside =
+                        self.reader.index().is_some_and(|index| frames.start >= index.scan_count());
+                    (frames.start, frames.end - frames.start, is_beside)
+                }),
             };
             let is_wanted = |(first, count, is_beside)| self.range.wants(first, count, is_beside);
             if self.range.is_all() || frames.is_none_or(is_wanted) {
