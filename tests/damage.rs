@@ -15,6 +15,7 @@ use lidarpc::internals::edit::{Named, Recovered, recover, repair};
 use lidarpc::internals::frame::Intensity;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::internals::ground::error::{Limits, Result};
+use lidarpc::internals::ground::varint::read_unsigned;
 use lidarpc::internals::stream::{DecodeOptions, FrameInput, encode_live};
 use rayon::prelude::*;
 
@@ -250,6 +251,72 @@ fn groups_without_any_copy_of_their_scanner_are_lost_and_no_others() {
     assert_eq!((&losses[0].frames, &losses[1].frames), (&Some(0..0), &Some(0..2)));
     assert_eq!(losses[1].names, ["0.bin", "1.bin"]);
     assert!(losses[1].why.contains("is lost"), "{}", losses[1].why);
+}
+
+/// The start of each record of a stream, and its end.
+fn record_starts(stream: &[u8]) -> Vec<usize> {
+    // After the stream header.
+    let mut starts = vec![12];
+    while starts[starts.len() - 1] < stream.len() {
+        let mut rest = &stream[starts[starts.len() - 1] + 1..];
+        let payload = read_unsigned(&mut rest, "length").unwrap() as usize;
+        starts.push(stream.len() - rest.len() + payload + 4);
+    }
+    assert_eq!(starts.last(), Some(&stream.len()));
+    starts
+}
+
+#[test]
+fn records_that_were_moved_cost_nothing_but_are_told() {
+    let (files, stream) = scanned_and_others();
+    let all: Vec<_> = (0..).zip(files.clone()).collect();
+    let starts = record_starts(&stream);
+    // Two copies of the scanner, five groups, the index, the end.
+    assert_eq!(starts.len(), 9 + 1);
+    for first in 0..9 {
+        for second in first + 1..9 {
+            let mut records: Vec<_> = starts.windows(2).map(|ends| &stream[ends[0]..ends[1]]).collect();
+            records.swap(first, second);
+            let moved = [&stream[..starts[0]], &records.concat()].concat();
+            if moved == stream {
+                continue;
+            }
+            assert!(check(&moved).is_err(), "{first} and {second}: unseen");
+            let (frames, losses) = saved(&moved);
+            assert!(frames == all, "{first} and {second}");
+            let [Lost { bytes, frames, names, .. }] = &losses[..] else { panic!("{losses:?}") };
+            assert!(bytes.is_empty() && names.is_empty(), "{losses:?}");
+            assert_eq!(*frames, Some(9..9), "{first} and {second}");
+            let mut repaired = Vec::new();
+            let input = Named { path: "in.lpc".into(), stream: Cursor::new(&moved) };
+            assert_eq!(repair(input, &Limits::default(), &mut repaired, |_| ()).unwrap(), 9);
+            assert!(decode_files(&repaired).unwrap() == files, "{first} and {second}");
+        }
+    }
+}
+
+#[test]
+fn a_group_that_is_lost_among_moved_ones_is_the_only_one_told() {
+    let files = files();
+    let stream = stream_of(&files);
+    let index = check(&stream).unwrap();
+    let starts = record_starts(&stream);
+    // Four groups, the index, the end; the last group but one comes first, the second is missing or damaged.
+    let [head, first, second, third, rest] = [
+        0..starts[0],
+        starts[0]..starts[1],
+        starts[1]..starts[2],
+        starts[2]..starts[3],
+        starts[3]..stream.len(),
+    ]
+    .map(|range| &stream[range]);
+    let damaged = [&second[..20], &[!second[20]], &second[21..]].concat();
+    for second in [&[][..], &damaged] {
+        let (frames, losses) = saved(&[head, third, second, first, rest].concat());
+        assert_eq!(frames, frames_of(&files, &index, |group| group != 1));
+        let lost: Vec<u64> = losses.iter().flat_map(|lost| lost.frames.clone().unwrap()).collect();
+        assert_eq!(lost, [2, 3], "{losses:?}");
+    }
 }
 
 #[test]

@@ -45,22 +45,33 @@ impl Losses {
     /// Reports one loss in a line, with all frames that were lost with it.
     pub fn tell(&mut self, lost: &Lost) {
         self.places += 1;
+        let (from, to) = (lost.bytes.start, lost.bytes.end);
         let frames = match &lost.frames {
             None => {
                 self.maybe_more = true;
-                "lost, and nothing tells how many frames with them".to_owned()
+                None
             }
-            Some(frames) if frames.is_empty() => "lost, but no frame".to_owned(),
             Some(frames) => {
                 self.frames += self.wanted.count_of(frames.end) - self.wanted.count_of(frames.start);
-                match frames.end - frames.start {
-                    1 => format!("lost, with frame {}", frames.start),
-                    _ => format!("lost, with frames {} to {}", frames.start, frames.end - 1),
-                }
+                Some(match frames.end - frames.start {
+                    0 => "no frame".to_owned(),
+                    1 => format!("frame {}", frames.start),
+                    _ => format!("frames {} to {}", frames.start, frames.end - 1),
+                })
             }
         };
-        let (from, to) = (lost.bytes.start, lost.bytes.end);
-        let mut line = format!("{}: bytes {from} to {to} are {frames}", self.input);
+        let has_frames = lost.frames.as_ref().is_some_and(|frames| !frames.is_empty());
+        let what = match (frames, from == to) {
+            (None, false) => {
+                format!("bytes {from} to {to} are lost, and nothing tells how many frames with them")
+            }
+            (None, true) => format!("at byte {from}, nothing tells how many frames are lost"),
+            (Some(frames), false) if has_frames => format!("bytes {from} to {to} are lost, with {frames}"),
+            (Some(frames), false) => format!("bytes {from} to {to} are lost, but {frames}"),
+            // Nothing is damaged here, but something is missing, or in the wrong place.
+            (Some(frames), true) => format!("at byte {from}, {frames} lost"),
+        };
+        let mut line = format!("{}: {what}", self.input);
         for (n, name) in lost.names.iter().take(MOST_NAMES).enumerate() {
             line.push_str(if n == 0 { " (" } else { ", " });
             line.push_str(&format!("{name:?}"));

@@ -45,7 +45,8 @@ pub struct Lost {
 
 /// Reads the intact parts of a stream: all records whose checksum matches, wherever they are. One intact copy
 /// of a scanner is enough, before or after the groups that use it. The numbers of the frames come from the
-/// index, if it is intact.
+/// index, if it is intact; so does the order of the groups. Records that stand in another order than the index says are told
+/// as a loss of no frame, as a decoder that reads from front to back rejects them.
 pub struct SalvageReader<R> {
     input: R,
     limits: Limits,
@@ -55,10 +56,15 @@ pub struct SalvageReader<R> {
     next: usize,
     scanners: ScannerRecords,
     index: Option<Index>,
-    /// The indices of groups in the stream's index, in order, by checksum.
-    entries: HashMap<u32, Vec<usize>>,
-    /// Index of the next group in the stream's index; those before it were found or reported as lost.
-    next_entry: usize,
+    /// By the offset of each record that is a group: the group that is returned in its turn, and the place of that in the
+    /// stream's index, if it has one.
+    groups: HashMap<u64, (FoundRecord, Option<usize>)>,
+    /// The locations of the records so far, to be compared with the stream's own index.
+    seen: Index,
+    /// Offset of the first group that comes before its scanner, or after groups that it must precede.
+    misplaced: Option<u64>,
+    /// Whether there was a loss.
+    has_lost: bool,
     /// Offset at which the last record ended.
     position: u64,
     next_frame: u64,
@@ -92,8 +98,10 @@ impl<R: Read + Seek> SalvageReader<R> {
             next: 0,
             scanners: ScannerRecords::default(),
             index: None,
-            entries: HashMap::new(),
-            next_entry: 0,
+            groups: HashMap::new(),
+            seen: Index::default(),
+            misplaced: None,
+            has_lost: false,
             position: start,
             next_frame: 0,
             ended: false,
@@ -120,14 +128,25 @@ impl<R: Read + Seek> SalvageReader<R> {
     }
 
     fn read_index(&mut self) -> Result<()> {
-        let Some(found) = self.records.iter().rfind(|record| record.kind == INDEX).copied() else {
-            return Ok(());
-        };
-        let index = Index::read_from(&self.read(found)?.payload)?;
-        for (place, group) in index.groups.iter().enumerate() {
-            self.entries.entry(group.crc).or_default().push(place);
+        if let Some(found) = self.records.iter().rfind(|record| record.kind == INDEX).copied() {
+            self.index = Some(Index::read_from(&self.read(found)?.payload)?);
         }
-        self.index = Some(index);
+        // The places of groups in the index that were not found yet, by checksum, the last first.
+        let mut places: HashMap<u32, Vec<usize>> = HashMap::new();
+        let entries = self.index.as_ref().map_or(&[][..], |index| &index.groups);
+        for (place, group) in entries.iter().enumerate().rev() {
+            places.entry(group.crc).or_default().push(place);
+        }
+        let groups = self.records.iter().filter(|record| record.kind == GROUP);
+        let mut found: Vec<_> =
+            groups.map(|group| (*group, places.get_mut(&group.crc).and_then(Vec::pop))).collect();
+        // Groups that swapped their positions swap back; those that the index does not know keep theirs.
+        let mut ordered: Vec<_> = found.iter().filter(|(_, place)| place.is_some()).copied().collect();
+        ordered.sort_by_key(|(_, place)| *place);
+        let turns: Vec<u64> = found.iter().map(|(group, _)| group.offset).collect();
+        let known = found.iter_mut().filter(|(_, place)| place.is_some());
+        known.zip(ordered).for_each(|(turn, group)| *turn = group);
+        self.groups = turns.into_iter().zip(found).collect();
         Ok(())
     }
 
@@ -158,21 +177,20 @@ impl<R: Read + Seek> SalvageReader<R> {
     /// If the input fails.
     pub fn next_part(&mut self) -> Result<Option<Salvaged>> {
         while let Some(found) = self.records.get(self.next).copied() {
-            let entry = self.entry_of(found);
-            let first_frame = match (&self.index, entry) {
+            let (group, place) = self.groups.get(&found.offset).copied().unwrap_or((found, None));
+            let first_frame = match (&self.index, place) {
                 (Some(index), Some(place)) => index.groups[place].first_frame,
                 _ => self.next_frame,
             };
             if let Some(lost) = self.lost_before(found.offset, first_frame)? {
-                return Ok(Some(Salvaged::Lost(lost)));
+                return Ok(Some(self.lose(lost)));
             }
             self.next += 1;
             self.position = found.end();
-            self.next_entry = entry.map_or(self.next_entry, |place| place + 1);
-            if found.kind == GROUP {
-                let (group, _) = Group::read_from(&self.read(found)?.payload, &self.limits)?;
-                self.next_frame = first_frame + group.frames.len() as u64;
-                return Ok(Some(Salvaged::Group { first_frame, bytes: found.offset..found.end(), group }));
+            match found.kind {
+                GROUP => return self.read_group(group, first_frame).map(Some),
+                SCANNER => self.seen.push_scanner(found.offset, ScannerId(found.crc)),
+                _ => {}
             }
         }
         if self.ended {
@@ -181,29 +199,59 @@ impl<R: Read + Seek> SalvageReader<R> {
         self.ended = true;
         let frames = self.index.as_ref().map_or(self.next_frame, Index::frame_count);
         if let Some(lost) = self.lost_before(self.size, frames)? {
-            return Ok(Some(Salvaged::Lost(lost)));
+            return Ok(Some(self.lose(lost)));
         }
-        if self.is_whole()? {
+        let Some((offset, why)) = self.fault_of_order()? else { return Ok(None) };
+        let frames = self.index.is_some().then_some(self.next_frame..self.next_frame);
+        let lost = Lost { bytes: offset..offset, frames, names: Vec::new(), why: why.to_owned() };
+        Ok(Some(self.lose(lost)))
+    }
+
+    fn lose(&mut self, lost: Lost) -> Salvaged {
+        self.has_lost = true;
+        Salvaged::Lost(lost)
+    }
+
+    fn read_group(&mut self, found: FoundRecord, first_frame: u64) -> Result<Salvaged> {
+        let (group, frames) = Group::read_from(&self.read(found)?.payload, &self.limits)?;
+        self.next_frame = first_frame + group.frames.len() as u64;
+        let has_scanners = group.scanners.iter().flatten().all(|id| self.seen.scanner(*id).is_some());
+        let is_in_order = self.seen.push_group(found.offset, found.length, found.crc, frames).is_ok();
+        if !has_scanners || !is_in_order {
+            self.misplaced.get_or_insert(found.offset);
+        }
+        Ok(Salvaged::Group { first_frame, bytes: found.offset..found.end(), group })
+    }
+
+    /// What is wrong with the order of the records, and where, although no byte of them is damaged. After a loss, that the
+    /// records do not agree with the index says nothing new.
+    fn fault_of_order(&mut self) -> Result<Option<(u64, &'static str)>> {
+        let end = match self.records[..] {
+            [.., index, end] if (index.kind, end.kind) == (INDEX, END) => Some((index, end)),
+            _ => None,
+        };
+        let points_at_index = |(index, end): (FoundRecord, FoundRecord)| {
+            let end = End::of_payload(&self.read(end)?.payload)?;
+            Ok::<_, Error>((end.index_offset == index.offset).then_some(index))
+        };
+        let Some(index) = end.map(points_at_index).transpose()?.flatten() else {
+            return Ok(Some((
+                self.size,
+                "the stream does not end in its index and end: it is cut short, or records were moved",
+            )));
+        };
+        if self.has_lost {
             return Ok(None);
         }
-        let why = "the stream is cut short: its index or its end is missing".to_owned();
-        let frames = self.index.is_some().then_some(self.next_frame..self.next_frame);
-        Ok(Some(Salvaged::Lost(Lost { bytes: self.size..self.size, frames, names: Vec::new(), why })))
-    }
-
-    /// Whether the last two records are the index and an end that points at it.
-    fn is_whole(&mut self) -> Result<bool> {
-        let [.., index, end] = self.records[..] else { return Ok(false) };
-        if (index.kind, end.kind) != (INDEX, END) {
-            return Ok(false);
+        if let Some(offset) = self.misplaced {
+            return Ok(Some((offset, "a group comes before its scanner, or after files beside the scans")));
         }
-        Ok(End::of_payload(&self.read(end)?.payload)?.index_offset == index.offset)
-    }
-
-    /// A found group's index in the stream's index: the next group with its checksum.
-    fn entry_of(&self, found: FoundRecord) -> Option<usize> {
-        let places = self.entries.get(&found.crc).filter(|_| found.kind == GROUP)?;
-        places.get(places.partition_point(|place| *place < self.next_entry)).copied()
+        let has_other_ends =
+            self.records.iter().filter(|record| matches!(record.kind, INDEX | END)).count() > 2;
+        if has_other_ends || self.index.as_ref() != Some(&self.seen) {
+            return Ok(Some((index.offset, "the index does not agree with the records before it")));
+        }
+        Ok(None)
     }
 
     /// The loss in the bytes before `offset` and the frames before `frame`, if there is any.
