@@ -1056,6 +1056,9 @@ fn a_largest_error_is_kept_and_told() {
     assert_eq!((&stats["against"]["lost_points"], &stats["against"]["added_points"]), (&0.into(), &0.into()));
     let coding = bench.json("info b.lpc --json")["frames"][0]["coding"].clone();
     assert_eq!(coding, "within 20 mm, intensities in steps of 0.1, context (light)");
+    assert_eq!(stats["fidelity"], serde_json::json!({ "within 20 mm, intensities in steps of 0.1": 3 }));
+    let text = String::from_utf8(bench.ok("stats b.lpc")).unwrap();
+    assert!(text.contains("\n3 frames: within 20 mm, intensities in steps of 0.1\n"), "{text}");
 }
 
 #[test]

@@ -414,6 +414,19 @@ fn the_program_packs_and_unpacks() {
     }
     let rounded = json(&[&lossy[..], &["--max-error", "1cm"]].concat());
     assert_eq!((&rounded["mode"], &rounded["max_error_m"]), (&"bounded".into(), &0.01.into()));
+    // Which it says afterwards too, however many clouds are exact because the bound saves nothing there.
+    for (name, words) in [("lossy.mcap", "within 10 mm"), ("small.mcap", "exact")] {
+        let stats = json(&["stats", &path(name)]);
+        let fidelity = |topic: &serde_json::Value| topic["fidelity"].as_object().unwrap().clone();
+        let all: Vec<_> = stats["topics"].as_array().unwrap().iter().flat_map(fidelity).collect();
+        let number = |which: &dyn Fn(&str) -> bool| -> u64 {
+            all.iter().filter(|(known, _)| which(known)).map(|(_, clouds)| clouds.as_u64().unwrap()).sum()
+        };
+        assert!(number(&|known| known == words) > 0, "{name}: {all:?}");
+        assert_eq!(number(&|_| true), clouds(&stats, "compressed"), "{name}: {all:?}");
+        let text = lidarpc(&["stats", &path(name)]).success();
+        text.stdout(predicates::str::contains(format!(": {words}\n")));
+    }
     for [command, complaint] in [
         ["estimate", "`encode` a recording"],
         ["repair", "no stream"],

@@ -1,6 +1,6 @@
 //! Recordings as inputs and outputs: `encode drive.mcap`, `decode small.mcap`.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -270,6 +270,9 @@ struct TopicListing {
     points: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     cloud_bytes: Option<u64>,
+    /// The number of these by how accurately they are restored, likewise.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fidelity: Option<BTreeMap<String, u64>>,
 }
 
 /// Lists the contents of a recording; if `decodes`, every compressed cloud is decoded.
@@ -289,6 +292,7 @@ pub fn examine(path: &Path, decodes: bool, threads: usize, quiet: bool) -> Resul
         compressed: topic.clouds,
         points: decodes.then_some(topic.points),
         cloud_bytes: decodes.then_some(topic.cloud_bytes),
+        fidelity: decodes.then_some(topic.fidelity),
     };
     let topics = topics.into_iter().map(listing).collect();
     Ok(Listing { file: path.display().to_string(), file_bytes, topics, attachments, damage })
@@ -362,6 +366,9 @@ pub fn stats(args: &StatsArgs, quiet: bool) -> Result<()> {
             topic.bytes,
             topic.topic.escape_debug()
         )?;
+        for (fidelity, clouds) in topic.fidelity.iter().flatten() {
+            writeln!(out, "{:>14} {fidelity}", format!("{}:", table::count(*clouds, "cloud")))?;
+        }
     }
     drop(out);
     listing.check()

@@ -3,10 +3,11 @@
 mod comparison;
 mod scanners;
 
+use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Seek, Write};
 
 use crate::container::{Record, SectionKind, StreamReader, Unit};
-use crate::frame::Source;
+use crate::frame::{FrameParameters, Source};
 use crate::ground::error::Limits;
 use crate::study::metrics;
 use anyhow::Result;
@@ -39,6 +40,8 @@ struct Stats {
     /// Equation 11 of the article: coded / original.
     ratio: Option<f64>,
     bits_per_point: Option<f64>,
+    /// The number of frames, files beside the scans excluded, by how accurately they are restored.
+    fidelity: BTreeMap<String, u64>,
     scanners: Vec<ScannerStats>,
     /// The stream's bytes by section; the sum is `stream_bytes`.
     sections: Vec<Part>,
@@ -95,6 +98,7 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
     let mut reader = StreamReader::open(input, limits)?;
     let mut by_kind = SectionKind::ALL.map(|_| 0u64);
     let (mut frames, mut files_beside, mut scanner_bytes) = (0, 0, 0);
+    let mut fidelity = BTreeMap::new();
     let (mut originals, mut scanners) = (Source::default(), KnownScanners::default());
     while let Some(record) = reader.next_record()? {
         match record {
@@ -107,7 +111,10 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
                 for frame in &group.frames {
                     match frame.header.stamp.unit {
                         Unit::Beside => files_beside += 1,
-                        _ => frames += 1,
+                        _ => {
+                            frames += 1;
+                            *fidelity.entry(FrameParameters::of(frame)?.fidelity()).or_default() += 1;
+                        }
                     }
                     originals.add(&Source::of(frame)?);
                     for section in &frame.sections {
@@ -139,6 +146,7 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
         stream_bytes,
         ratio: metrics::ratio(file_bytes, stream_bytes),
         bits_per_point: metrics::bits_per_point(stream_bytes, points),
+        fidelity,
         scanners: scanners.report(),
         sections,
         against: None,
@@ -164,6 +172,9 @@ fn print(stats: &Stats, out: &mut impl Write) -> io::Result<()> {
             let share = table::percent(metrics::ratio(stats.points, count));
             writeln!(out, "{name:<12} {count:>14} points dropped ({share})")?;
         }
+    }
+    for (fidelity, frames) in &stats.fidelity {
+        writeln!(out, "{}: {fidelity}", table::count(*frames, "frame"))?;
     }
     for (number, scanner) in (1..).zip(&stats.scanners) {
         scanner.print(number, out)?;

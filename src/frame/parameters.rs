@@ -205,19 +205,28 @@ impl FrameParameters {
 }
 
 /// A short form, such as `exact, context` or `range image, intra, snake, lzma, planes`.
+impl FrameParameters {
+    /// How accurately points are restored, in words.
+    pub fn fidelity(&self) -> String {
+        let positions = match self.positions {
+            Positions::Exact => "exact".to_owned(),
+            Positions::Formula => "range image".to_owned(),
+            Positions::Bounded { max_error_um, .. } => {
+                format!("within {} mm", f64::from(max_error_um) / 1000.0)
+            }
+        };
+        match self.intensity {
+            Intensity::Rounded { step_millionths } => {
+                format!("{positions}, intensities in steps of {}", f64::from(step_millionths) / 1e6)
+            }
+            Intensity::Exact | Intensity::None => positions,
+        }
+    }
+}
+
 impl fmt::Display for FrameParameters {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self.positions {
-            Positions::Exact => "exact",
-            Positions::Formula => "range image",
-            Positions::Bounded { .. } => "within ",
-        })?;
-        if let Positions::Bounded { max_error_um, .. } = self.positions {
-            write!(f, "{} mm", f64::from(max_error_um) / 1000.0)?;
-        }
-        if let Intensity::Rounded { step_millionths } = self.intensity {
-            write!(f, ", intensities in steps of {}", f64::from(step_millionths) / 1e6)?;
-        }
+        f.write_str(&self.fidelity())?;
         f.write_str(match self.prediction {
             Prediction::None => "",
             Prediction::Intra => ", intra",

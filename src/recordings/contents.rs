@@ -1,6 +1,6 @@
 //! The contents of a recording: its clouds as scans, its topics, and whether another recording has the same messages.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::Read;
 use std::sync::{Mutex, PoisonError};
 
@@ -9,9 +9,10 @@ use mcap::records::{Channel, MessageHeader, Record};
 use super::message::{self, Encoding};
 use super::pack::unpacked;
 use super::records::{Faults, Records};
-use crate::container::{Stamp, Time, TimeSource, Unit};
+use crate::container::{self, Stamp, StreamReader, Time, TimeSource, Unit};
+use crate::frame::FrameParameters;
 use crate::frame::settings::resolve_threads;
-use crate::ground::error::{Error, Result};
+use crate::ground::error::{Error, Limits, Result};
 use crate::library::Scan;
 use crate::stream::ordered::run_ordered;
 
@@ -145,6 +146,8 @@ pub struct Topic {
     pub points: u64,
     /// Bytes of these clouds before compression; 0 if they were not decoded.
     pub cloud_bytes: u64,
+    /// The number of these clouds by how accurately they are restored; empty if they were not decoded.
+    pub fidelity: BTreeMap<String, u64>,
 }
 
 /// Lists the contents of a recording; if `decodes`, every compressed cloud is decoded. `on_message` is called for each
@@ -186,11 +189,10 @@ pub fn examine(
     let work = |(place, encoding, header, data): (usize, Option<Encoding>, MessageHeader, Vec<u8>)| {
         let bytes = data.len() as u64;
         let is_compressed = encoding.is_some_and(|encoding| message::payload(&data, encoding).is_some());
-        let cloud = match encoding.filter(|_| decodes && is_compressed) {
-            Some(encoding) => unpacked(&data, encoding).map_err(|error| damaged_cloud(&header, &error)),
+        let counted = match encoding.filter(|_| decodes && is_compressed) {
+            Some(encoding) => measure(&data, encoding).map_err(|error| damaged_cloud(&header, &error)),
             None => Ok(None),
         };
-        let counted = cloud.map(|cloud| cloud.map(|(message, points)| (points, message.len())));
         Ok((place, bytes, is_compressed, counted))
     };
     let mut faults = Faults::default();
@@ -200,9 +202,10 @@ pub fn examine(
         topic.bytes += bytes;
         topic.clouds += u64::from(is_compressed);
         match cloud {
-            Ok(Some((points, before))) => {
+            Ok(Some(Measured { points, bytes, fidelity })) => {
                 topic.points += points as u64;
-                topic.cloud_bytes += before as u64;
+                topic.cloud_bytes += bytes as u64;
+                *topic.fidelity.entry(fidelity).or_default() += 1;
             }
             Ok(None) => {}
             Err(fault) => faults.add(fault),
@@ -212,6 +215,34 @@ pub fn examine(
     })?;
     let topics = topics.into_inner().unwrap_or_else(PoisonError::into_inner);
     Ok(Contents { topics, attachments, damage: records.faults.and(faults).in_words() })
+}
+
+/// A compressed cloud that was decoded.
+struct Measured {
+    points: usize,
+    /// Its bytes before compression.
+    bytes: usize,
+    /// How accurately it is restored, in words.
+    fidelity: String,
+}
+
+/// Decodes a compressed cloud; `None` if it is none.
+///
+/// # Errors
+/// If it is damaged.
+fn measure(message: &[u8], encoding: Encoding) -> Result<Option<Measured>> {
+    let Some((decoded, points)) = unpacked(message, encoding)? else { return Ok(None) };
+    let payload = message::payload(message, encoding).unwrap_or_default();
+    let mut reader = StreamReader::open(payload, Limits::default())?;
+    let mut fidelity = String::new();
+    while let Some(record) = reader.next_record()? {
+        if let container::Record::Group(group) = record
+            && let Some(frame) = group.frames.first()
+        {
+            fidelity = FrameParameters::of(frame)?.fidelity();
+        }
+    }
+    Ok(Some(Measured { points, bytes: decoded.len(), fidelity }))
 }
 
 /// Compares the messages of two recordings in order: topic, sequence number, times and bytes. Returns their number if
