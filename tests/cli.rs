@@ -9,7 +9,7 @@ use std::process::{Command as Process, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::scans::{scans, small};
-use crate::common::skip;
+use crate::common::{put_together, skip, take_apart};
 use crate::program::{Bench, Files, failure, odd_files, scan};
 use assert_cmd::cargo::cargo_bin;
 use serde_json::Value;
@@ -489,10 +489,95 @@ fn an_encode_goes_on_when_the_disk_has_room_again() {
     assert_eq!(bench.names("."), ["out.lpc", "seq", "whole.lpc"]);
     assert!(bench.read("out.lpc") == bench.read("whole.lpc"));
 
-    bench.fails("encode seq -o out.lpc --gop 2 --resume --quiet", "out.lpc");
     let says = bench.says("encode seq -o out.lpc --gop 2 --resume --force");
     assert!(says.contains("\n10 frames: "), "{says}");
     assert!(bench.read("out.lpc") == bench.read("whole.lpc"));
+}
+
+#[test]
+fn what_is_complete_is_not_encoded_again() {
+    let bench = Bench::encoded();
+    let whole = bench.read("out.lpc");
+    let again = "encode seq -o out.lpc --gop 2 --resume";
+    let line = "out.lpc: already complete, from these 10 frames with these settings";
+    assert_eq!(bench.says(again).lines().last(), Some(line));
+    assert_eq!(
+        bench.says(&format!("{again} --verify")).lines().last(),
+        Some(&format!("{line}, verified")[..])
+    );
+    assert_eq!(bench.ok(again), b"");
+    let report = bench.json(&format!("{again} --json"));
+    assert_eq!((&report["was_complete"], &report["frames"]), (&true.into(), &10.into()));
+    assert_eq!(report["stream_bytes"], whole.len());
+    assert_eq!(bench.json("encode seq -o new.lpc --gop 2 --resume --json")["was_complete"], false);
+
+    // What differs is said.
+    let refuses = |args: &str, output: &str, what: &str| {
+        let before = bench.read(output);
+        let error = bench.fails(&format!("encode {args} -o {output} --resume --quiet"), output);
+        assert!(error.contains(&format!("exists, but {what}")), "{args}: {error}");
+        assert!(error.contains("--force"), "{args}: {error}");
+        assert!(bench.read(output) == before, "{args}");
+    };
+    refuses("seq --gop 3", "out.lpc", "has 2 frames in a group, not 3");
+    fs::write(bench.path("notes.lpc"), b"somebody's").unwrap();
+    refuses("seq --gop 2", "notes.lpc", "is no whole stream");
+    fs::write(bench.path("cut.lpc"), &whole[..whole.len() - 9]).unwrap();
+    refuses("seq --gop 2", "cut.lpc", "is no whole stream");
+    for (name, bytes, what) in [
+        ("10.bin", Some(vec![7; 41 * 16]), "holds another \"10.bin\" than there is now"),
+        ("seventeen.bin", None, "holds 10 frames, not 9"),
+    ] {
+        let mut files = odd_files();
+        files.remove(name);
+        files.extend(bytes.map(|bytes| (name.to_owned(), bytes)));
+        bench.write_files(name, &files);
+        refuses(&format!("{name} --gop 2"), "out.lpc", what);
+    }
+    let mut files = odd_files();
+    let moved = files.remove("1.bin").unwrap();
+    files.insert("0.bin".to_owned(), moved);
+    bench.write_files("renamed", &files);
+    refuses("renamed --gop 2", "out.lpc", "holds other frames (\"1.bin\", not \"0.bin\")");
+
+    // Nothing is deleted that the stream does not hold, whatever its headers say.
+    let (models, mut groups) = take_apart(&whole);
+    let sections = groups[1].frames.iter_mut().flat_map(|frame| &mut frame.sections);
+    sections.filter_map(|section| section.payload.last_mut()).for_each(|byte| *byte ^= 0x55);
+    fs::write(bench.path("forged.lpc"), put_together(&models, &groups)).unwrap();
+    bench.fails("encode seq -o forged.lpc --gop 2 --resume --rm --quiet", "forged.lpc");
+    assert_eq!(bench.files("seq"), odd_files());
+    bench.ok("encode seq -o out.lpc --gop 2 --resume --rm");
+    assert!(!bench.path("seq").exists());
+    assert!(bench.read("out.lpc") == whole);
+    bench.ok("decode out.lpc -o seq");
+    assert_eq!(bench.files("seq"), odd_files());
+}
+
+#[test]
+fn a_complete_file_with_a_largest_error_is_known_too() {
+    let bench = Bench::new();
+    bench.ok("synth -o drive --frames 2");
+    bench.ok("encode drive -o b.lpc --max-error 2cm -1 --gop 1");
+    let again = |args: &str| format!("encode drive -o b.lpc -1 --gop 1 --resume {args}");
+    assert_eq!(bench.ok(&again("--max-error 2cm")), b"");
+    for (args, what) in [
+        ("--max-error 1cm", "was made with other settings"),
+        ("--max-error 2cm --intensity-step 0.1", "was made with other settings"),
+        ("", "does not hold the files exactly"),
+    ] {
+        let error = bench.fails(&again(&format!("{args} --quiet")), "b.lpc");
+        assert!(error.contains(what), "{args}: {error}");
+    }
+    // An intensity of the last frame, in a file of the same size.
+    let name = format!("drive/{}", bench.names("drive").last().unwrap());
+    let mut bytes = bench.read(&name);
+    let intensity = &mut bytes[16 * 1000 + 12..][..4];
+    let other = if intensity == 0.5f32.to_le_bytes() { 0.25f32 } else { 0.5 };
+    intensity.copy_from_slice(&other.to_le_bytes());
+    fs::write(bench.path(&name), bytes).unwrap();
+    let error = bench.fails(&again("--max-error 2cm --quiet"), "b.lpc");
+    assert!(error.contains("was made with other settings, of other files, or"), "{error}");
 }
 
 #[test]
@@ -506,7 +591,8 @@ fn a_partial_file_is_left_to_those_who_ask_for_it() {
     assert!(bench.read("out.lpc") == bench.read("whole.lpc") && partial() == before);
 
     // While the output exists.
-    bench.fails("encode seq -o out.lpc --gop 2 --resume --quiet", "out.lpc");
+    bench.ok("encode seq -o out.lpc --gop 2 --resume");
+    bench.fails("encode seq -o out.lpc --gop 3 --resume --quiet", "out.lpc");
     assert!(partial() == before);
 
     // A file that is not a partial stream.

@@ -145,7 +145,8 @@ pub struct EncodeArgs {
     ///
     /// Writes to FILE.partial, which remains after any interruption; the same command then continues after the last
     /// complete group of frames, with the same result. FILE.partial.journal records the inputs and settings. Both are
-    /// removed when the output is complete. If the output is a folder: skips the drives whose files exist.
+    /// removed when the output is complete. An output that is complete already is compared with the inputs and settings,
+    /// and left as it is. If the output is a folder: skips the drives whose files exist.
     #[arg(long)]
     pub resume: bool,
     /// Overwrite the output if it exists.

@@ -1,7 +1,7 @@
 //! `lidarpc encode`
 
 use std::fs::{self, File};
-use std::io::{self, BufReader, Write};
+use std::io::{self, BufReader, Seek, Write};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -10,6 +10,7 @@ use crate::edit;
 use crate::files::sequence::{FoundFile, LeftOut, STREAM_EXTENSION};
 use crate::files::{ArrivedFile, ArrivingFrames};
 use crate::frame::{EncoderConfig, Intensity, Positions};
+use crate::ground::error::Error;
 use crate::stream::{self, DecodeOptions, DecodedFrame, Encoded, FrameInput};
 use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
@@ -52,9 +53,20 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     if let Some(found) = &found {
         frames::settle(&found.frames, &mut config, &frames::name_of_inputs(&args.inputs), quiet)?;
     }
+    let before = match args.resume && !args.force {
+        true => {
+            partial::complete(args.output()).map_err(|error| about(error, &name_of_output(args.output())))?
+        }
+        false => None,
+    };
+    let was_complete = before.is_some();
     let (encoded, left_out) = match (args.resume, &found) {
         (true, Some(found)) => {
-            (encode_in_runs(args, &config, &found.inputs(), quiet)?, found.left_out.clone())
+            let encoded = match before {
+                Some(stream) => confirm(args, &config, &found.inputs(), stream, quiet)?,
+                None => encode_in_runs(args, &config, &found.inputs(), quiet)?,
+            };
+            (encoded, found.left_out.clone())
         }
         (_, found) => encode_whole(args, &config, found.as_ref(), quiet)?,
     };
@@ -67,7 +79,13 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
         }
     }
     if args.json {
-        print_json(&Report::of(args, &config, &encoded, &left_out, seconds))?;
+        let report = Report::of(args, &config, &encoded, &left_out, seconds);
+        print_json(&Report { was_complete, ..report })?;
+    } else if was_complete && !quiet {
+        let (name, frames) =
+            (name_of_output(args.output()), table::count(encoded.frames.len() as u64, "frame"));
+        let verified = if args.verify { ", verified" } else { "" };
+        eprintln!("{name}: already complete, from these {frames} with these settings{verified}");
     } else if !quiet {
         eprintln!("{} in {seconds:.1} s", summary(args, &config, &encoded));
     }
@@ -206,6 +224,35 @@ fn encode_in_runs(
         compare(args, &encoded, output.reopen()?, quiet).with_context(|| name.clone())?;
     }
     output.finish().map_err(|error| about(error, &name))?;
+    Ok(encoded)
+}
+
+/// Confirms that the output of an earlier run is what this run would write.
+///
+/// # Errors
+/// With what differs.
+fn confirm(
+    args: &EncodeArgs,
+    config: &EncoderConfig,
+    frames: &[FrameInput],
+    mut stream: File,
+    quiet: bool,
+) -> Result<Encoded> {
+    let name = name_of_output(args.output());
+    let bar = progress::bar(Some(frames.len() as u64), "comparing", quiet);
+    let encoded = edit::confirm_complete(frames, config, &stream, &|| bar.inc(1));
+    bar.finish_and_clear();
+    let encoded = encoded.map_err(|error| match error {
+        Error::Usage(what) => {
+            let what = format!("exists, but {what}; use --force to overwrite it, or choose another output");
+            Error::Input { path: args.output().to_path_buf(), what }.into()
+        }
+        _ => about(error, &name),
+    })?;
+    if args.verify {
+        stream.rewind().map_err(|error| about(error.into(), &name))?;
+        compare(args, &encoded, stream, quiet).with_context(|| name.clone())?;
+    }
     Ok(encoded)
 }
 
@@ -373,6 +420,8 @@ pub struct Report {
     /// Files beside the scans; their bytes are included in `file_bytes`.
     files_beside: u64,
     bytes_beside: u64,
+    /// Whether the output was complete before, so that nothing was encoded.
+    was_complete: bool,
     resumed_frames: u64,
     points: u64,
     outliers_dropped: u64,
@@ -446,6 +495,7 @@ impl Report {
             frames: encoded.frames.len() as u64 - encoded.beside,
             files_beside: encoded.beside,
             bytes_beside: encoded.beside_bytes,
+            was_complete: false,
             resumed_frames: encoded.resumed_frames,
             points: encoded.points,
             outliers_dropped: encoded.outliers,

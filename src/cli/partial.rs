@@ -40,10 +40,7 @@ impl PartialOutput {
                 let what = "is no regular file; choose another output, or encode without --resume".to_owned();
                 return Err(Error::Input { path: path.to_path_buf(), what }.into());
             }
-            Err(error) => {
-                remove_stray_journal(path);
-                return Err(about(error.into(), &path.display().to_string()));
-            }
+            Err(error) => return Err(about(error.into(), &path.display().to_string())),
         };
         temporary::remove_leftovers(parent(&target));
         let (stream, journal) = names(&target);
@@ -96,12 +93,19 @@ pub fn outputs(output: &Path) -> [PathBuf; 3] {
     [target, stream, journal]
 }
 
-/// Removes the journal of a complete output, left by a run that ended just before removing it.
-fn remove_stray_journal(output: &Path) {
+/// The complete output, if an earlier run left it. Its journal is removed, in case that run ended just before removing it.
+///
+/// # Errors
+/// If it cannot be opened.
+pub fn complete(output: &Path) -> Result<Option<File>> {
+    if !output.is_file() {
+        return Ok(None);
+    }
     let (stream, journal) = names(&through_link(output));
-    if output.is_file() && !stream.exists() {
+    if !stream.exists() {
         let _ = fs::remove_file(journal);
     }
+    Ok(Some(File::open(output)?))
 }
 
 /// The partial stream and the journal of this output.

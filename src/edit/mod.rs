@@ -13,4 +13,4 @@ pub use cat::{Joined, cat};
 pub use copier::Named;
 pub use cut::{Cut, cut, cut_indexed};
 pub use recover::{Recovered, recover, repair};
-pub use resume::{PartialFiles, encode_resuming};
+pub use resume::{PartialFiles, confirm_complete, encode_resuming};

@@ -13,6 +13,7 @@
 //! alone identify the files and settings from which it was encoded if the encoding was lossy: this is what
 //! the journal is for.
 
+mod complete;
 mod fingerprint;
 mod journal;
 mod kept;
@@ -23,6 +24,7 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
+pub use complete::confirm_complete;
 use fingerprint::fingerprint;
 use journal::{Entry, InputFile, Journal, JournalWriter};
 use kept::Kept;

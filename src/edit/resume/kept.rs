@@ -77,7 +77,8 @@ fn read_part(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Vec<
 }
 
 impl FrameOfStream {
-    fn kept(frame: &CodedFrame) -> Result<Self> {
+    /// A frame that was encoded by an earlier run.
+    pub(super) fn kept(frame: &CodedFrame) -> Result<Self> {
         let mut kept = FrameOfStream::of(frame, StageReport::default())?;
         // The size of the original file, if it differs from the decoded one.
         kept.stages = StageReport { frames: 1, original: kept.source.file_size, ..StageReport::default() };
