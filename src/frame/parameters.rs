@@ -204,7 +204,6 @@ impl FrameParameters {
     }
 }
 
-/// A short form, such as `exact, context` or `range image, intra, snake, lzma, planes`.
 impl FrameParameters {
     /// How accurately points are restored, in words.
     pub fn fidelity(&self) -> String {
@@ -224,6 +223,7 @@ impl FrameParameters {
     }
 }
 
+/// A short form, such as `exact, context` or `range image, intra, snake, lzma, planes`.
 impl fmt::Display for FrameParameters {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.fidelity())?;
