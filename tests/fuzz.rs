@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use common::formats::{
-    columns, csv, kitti, las, npy, npy_by_column, npy_doubles, nuscenes, pcd_characters, pcd_extra, pcd_text,
-    pcd_xyz, ply,
+    columns, csv, kitti, las, npy, npy_by_column, npy_doubles, nuscenes, padded_columns, pcd_characters,
+    pcd_extra, pcd_text, pcd_xyz, ply,
 };
 use common::messages::cloud;
 use common::scans::{scans, small};
@@ -41,6 +41,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         (3, ply(points)),
         (4, csv(points)),
         (4, columns(points)),
+        (4, padded_columns(points)),
         (5, npy(points)),
         (5, npy_doubles(points)),
         (5, npy_by_column(points)),

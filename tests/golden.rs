@@ -12,8 +12,8 @@ use std::path::PathBuf;
 
 use crate::common::firings::{OusterDriver, ouster};
 use crate::common::formats::{
-    columns, csv, kitti, las, nclt, npy, npy_by_column, npy_doubles, npy_halves, nuscenes, pcd_characters,
-    pcd_extra, pcd_text, pcd_velodyne, pcd_xyz, ply, ply_big_endian, ply_text,
+    columns, csv, kitti, las, nclt, npy, npy_by_column, npy_doubles, npy_halves, nuscenes, padded_columns,
+    pcd_characters, pcd_extra, pcd_text, pcd_velodyne, pcd_xyz, ply, ply_big_endian, ply_text,
 };
 use crate::common::scans::{compensated, random_points, rounded, scans, single_precision, small, unrounded};
 use crate::common::streams::{KNOWN, at_level, halved, moved_through_a_map, with_back_end};
@@ -455,6 +455,7 @@ fn table_files() -> Vec<File> {
             npy_doubles(&[&frames[5][..], &[[f32::NAN, -f32::NAN, f32::INFINITY, -0.0]]].concat()),
         ),
         ("6.npy".to_owned(), npy_by_column(&frames[6])),
+        ("7.txt".to_owned(), padded_columns(&frames[6])),
         (
             "3.xyz".to_owned(),
             String::from_utf8(columns(&frames[3])).unwrap().replace("; ", "\t").replace(';', "").into_bytes(),

@@ -62,7 +62,7 @@ impl Table {
             for (at, text) in format.texts(line).into_iter().flatten().enumerate().take(POSITION.len()) {
                 fractions[at] += usize::from(text.contains('.'));
                 if at == 0 {
-                    let value = text.parse().unwrap_or(f64::NAN);
+                    let value = text.trim_start().parse().unwrap_or(f64::NAN);
                     rises &= value >= last;
                     last = value;
                 }
@@ -212,7 +212,6 @@ mod tests {
             "1 2\n3 4\n",
             "a b c\nd e f\n",
             "1,5;2,5;3,5\n",
-            "1  2  3\n",
             "1,,3\n",
             "\u{ff}",
         ] {

@@ -9,7 +9,7 @@ use super::number::{self, NumberWriter, Survey};
 use super::records;
 use crate::ground::error::Result;
 use crate::scan::{
-    Column, Field, Layout, NumberRule, Printf, Scalar, ScanFile, Separator, TextFormat, Wrapping,
+    Column, Field, Layout, MAX_DIGITS, NumberRule, Printf, Scalar, ScanFile, Separator, TextFormat, Wrapping,
 };
 
 /// Splits a file whose body starts at byte `start` and has at most `points` records of these fields, which
@@ -25,14 +25,14 @@ pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64
     }
     let scalars: Vec<Option<Scalar>> =
         fields.iter().flat_map(|field| (0..field.count()).map(|_| field.scalar)).collect();
-    let numbers = Body::of_numbers(body, &scalars, points);
-    let is_whole = |found: &Body| found.records as u64 == points;
-    let found = match numbers {
-        Some(numbers) if is_whole(&numbers) => numbers,
-        numbers => {
-            let characters = Body::with_characters(body, &scalars, points);
+    let is_whole = |found: &Body| found.records as u64 == points || found.rest.is_empty();
+    let numbers = |is_padded| Body::of_numbers(body, &scalars, points, is_padded);
+    let found = match numbers(false) {
+        Some(found) if is_whole(&found) => found,
+        found => {
+            let others = [Body::with_characters(body, &scalars, points), numbers(true), found];
             // The last one wins ties.
-            characters.into_iter().chain(numbers).max_by_key(|found| found.records)?
+            others.into_iter().flatten().max_by_key(|found| found.records)?
         }
     };
     let fields = as_stored(fields, &found.format.columns);
@@ -59,20 +59,31 @@ struct Body<'a> {
 }
 
 impl<'a> Body<'a> {
-    /// A body in which all values are written as numbers.
-    fn of_numbers(body: &'a [u8], scalars: &[Option<Scalar>], points: u64) -> Option<Self> {
+    /// A body in which all values are written as numbers, which spaces may fill up to a width.
+    fn of_numbers(body: &'a [u8], scalars: &[Option<Scalar>], points: u64, is_padded: bool) -> Option<Self> {
         let mut format = TextFormat::of_line(first_line(body)?);
+        if is_padded {
+            (format.widths, format.space_after) = (vec![0; scalars.len()], false);
+        } else if format.is_padded() {
+            return None;
+        }
         let mut tokens: Vec<&str> = Vec::new(); // of all lines, line by line
         let mut scratch = Vec::new();
         let mut rest = body;
         let mut lines = 0u64;
         while lines < points
             && let Some(line) = first_line(rest)
+            // The width of a number that was cut short says nothing.
+            && (line.ends_with('\n') || !is_padded)
             && format.read_line(line, scalars, &mut tokens, &mut scratch).is_some()
         {
             rest = &rest[line.len()..];
             lines += 1;
             format.open_end = !line.ends_with('\n');
+        }
+        if is_padded {
+            format.widths = widths(scalars.len(), &tokens)?;
+            tokens.iter_mut().for_each(|token| *token = token.trim_start_matches(' '));
         }
         let found = find_format(scalars, &tokens).or_else(|| {
             // If the file was cut short, the last number may be incomplete too.
@@ -207,6 +218,19 @@ fn find_columns(
     columns.collect::<Option<_>>().filter(|_| !tokens.is_empty())
 }
 
+/// The width up to which spaces fill each column's texts, or 0; `None` if they are filled up in another way, or none is.
+fn widths(columns: usize, tokens: &[&str]) -> Option<Vec<u8>> {
+    let is_filled = |text: &&str| text.starts_with(' ');
+    let width = |at: usize| {
+        let mut texts = tokens.iter().copied().skip(at).step_by(columns);
+        let width = texts.clone().find(is_filled).map_or(0, str::len);
+        let is_as_wide = |text: &str| text.len() == width || text.len() > width && !is_filled(&text);
+        texts.all(is_as_wide).then(|| u8::try_from(width).ok())?.filter(|width| *width <= MAX_DIGITS)
+    };
+    let widths: Vec<u8> = (0..columns).map(width).collect::<Option<_>>()?;
+    widths.iter().any(|width| *width > 0).then_some(widths)
+}
+
 /// The fields as these columns store them: a field whose values have different types becomes several fields.
 fn as_stored(fields: &[Declared], columns: &[Column]) -> Vec<Field> {
     let mut rest = columns;
@@ -280,7 +304,13 @@ impl<'f> TextWriter<'f> {
                     }
                 }
                 let (value, after) = rest.split_at(column.scalar.size() as usize);
+                let start = out.len();
                 numbers.write(value, column, out)?;
+                let width = format.widths.get(at).copied().unwrap_or(0);
+                let missing = usize::from(width).saturating_sub(out.len() - start);
+                if missing > 0 {
+                    out.splice(start..start, std::iter::repeat_n(b' ', missing));
+                }
                 rest = after;
             }
             if format.trailing_separator {
@@ -346,7 +376,7 @@ pub(super) fn first_line(bytes: &[u8]) -> Option<&str> {
 }
 
 impl TextFormat {
-    /// The format of a line, without columns.
+    /// The format of a line, without columns. If spaces fill numbers up, their widths are not known yet, and 0.
     pub(super) fn of_line(line: &str) -> Self {
         let text = line.trim_end_matches(['\r', '\n']);
         let separator = [Separator::Tab, Separator::Semicolon, Separator::Comma]
@@ -356,34 +386,59 @@ impl TextFormat {
         let character = separator.character();
         // The first kind of separator that occurs in the line separates the numbers.
         let after = text.split_once(character).map_or("", |(_, after)| after);
+        // One space may follow a separator.
+        let twice = if separator == Separator::Space { "  ".to_owned() } else { format!("{character}  ") };
+        let is_padded = text.starts_with(' ') || text.contains(&twice[..]);
         TextFormat {
             crlf: line.ends_with("\r\n"),
             separator,
-            space_after: after.starts_with(' ') && separator != Separator::Space,
+            space_after: after.starts_with(' ') && separator != Separator::Space && !is_padded,
             trailing_separator: text.ends_with(character),
+            widths: if is_padded { vec![0; text.split(character).count()] } else { Vec::new() },
             ..TextFormat::default()
         }
+    }
+
+    /// Whether spaces fill numbers up to a width.
+    fn is_padded(&self) -> bool {
+        !self.widths.is_empty()
     }
 
     fn line_end(&self) -> &'static str {
         if self.crlf { "\r\n" } else { "\n" }
     }
 
-    /// The texts between the separators of a line, whose line end may be missing; `None` if the line does not
-    /// have this format.
+    /// The texts between the separators of a line, with the spaces that fill them up; the line end may be missing. `None` if
+    /// the line does not have this format.
     pub(super) fn texts<'a>(&self, line: &'a str) -> Option<impl Iterator<Item = &'a str>> {
         let separator = self.separator.character();
         let mut text = line.strip_suffix(self.line_end()).unwrap_or(line);
         if self.trailing_separator {
             text = text.strip_suffix(separator)?;
         }
-        let is_spaced = self.space_after;
-        let texts = text.split(separator).enumerate();
+        let (is_spaced, is_padded) = (self.space_after, self.is_padded());
+        let mut rest = Some(text);
+        let texts = std::iter::from_fn(move || {
+            let text = rest?;
+            // Those that fill a number up are not separators.
+            let filled = if is_padded { text.len() - text.trim_start_matches(' ').len() } else { 0 };
+            let (own, after) = match text[filled..].split_once(separator) {
+                Some((own, after)) => (&text[..filled + own.len()], Some(after)),
+                None => (text, None),
+            };
+            rest = after;
+            Some(own)
+        });
         // A missing space shows as a text that is not a number.
-        Some(texts.map(move |(at, text)| match at > 0 && is_spaced {
+        Some(texts.enumerate().map(move |(at, text)| match at > 0 && is_spaced {
             true => text.strip_prefix(' ').unwrap_or(""),
             false => text,
         }))
+    }
+
+    /// A text without the spaces that fill it up.
+    fn without_padding<'a>(&self, text: &'a str) -> &'a str {
+        if self.is_padded() { text.trim_start_matches(' ') } else { text }
     }
 
     /// The number of columns of the line, if all of them are numbers.
@@ -391,7 +446,7 @@ impl TextFormat {
         let mut value = Vec::new();
         self.texts(line)?.try_fold(0, |count, text| {
             value.clear();
-            number::parse(text, Scalar::F64, &mut value).map(|()| count + 1)
+            number::parse(self.without_padding(text), Scalar::F64, &mut value).map(|()| count + 1)
         })
     }
 
@@ -408,7 +463,8 @@ impl TextFormat {
         scratch.clear();
         let mut scalars_left = scalars.iter();
         let complete = self.texts(line)?.try_for_each(|token| {
-            number::parse(token, scalars_left.next()?.unwrap_or(Scalar::F64), scratch)?;
+            let number = self.without_padding(token);
+            number::parse(number, scalars_left.next()?.unwrap_or(Scalar::F64), scratch)?;
             tokens.push(token);
             Some(())
         });
@@ -533,6 +589,31 @@ mod tests {
             "1 2 3 4 05\n",
             "1E5 2 3 4 5\n",
         ] {
+            assert!(comes_back("a.pcd", file(body)).is_opaque(), "{body:?}");
+        }
+    }
+
+    #[test]
+    fn spaces_may_fill_numbers_up() {
+        for (body, widths) in [
+            // %8.3f and so on; numbers that need more are as long as they must be
+            (
+                "   1.500   -2.25 1 2  10\n1234.000 1234.75 1 2 300\n  -0.125 -999.00 3 4 255\n",
+                &[8, 7, 0, 0, 3][..],
+            ),
+            ("12345.000 1 1 1 1\n    1.500 1 1 1 1\n-99999.000 1 1 1 1\n", &[9, 0, 0, 0, 0]),
+            ("  1.50,  2.00,1,1,1\r\n-11.50, 12.25,1,1,1\r\n", &[6, 6, 0, 0, 0]),
+            (" 1.5  2  3  4  5\n-1.5 -2 -3 -4 99\n", &[4, 2, 2, 2, 2]),
+        ] {
+            let scan = comes_back("a.pcd", file(body));
+            let Wrapping::Text(format) = &scan.layout.wrapping else { panic!("{body:?}") };
+            assert_eq!(format.widths, widths, "{body:?}");
+            assert_eq!((scan.records, scan.suffix.len()), (body.lines().count(), 0), "{body:?}");
+        }
+        // An incomplete last line, and numbers that are filled up in no known way.
+        let scan = comes_back("a.pcd", file("  1.5 1 1 1 1\n 22.5 1 1 1 1\n  1."));
+        assert_eq!((scan.records, &scan.suffix[..]), (2, &b"  1."[..]));
+        for body in ["  1.5 1 1 1 1\n   1.5 1 1 1 1\n", "1.5   1 1 1 1\n1.5 1 1 1 1\n", "1.5  1 1 1\n"] {
             assert!(comes_back("a.pcd", file(body)).is_opaque(), "{body:?}");
         }
     }

@@ -469,7 +469,8 @@ mod tests {
         let separator = Separator::Semicolon;
         let format = TextFormat { crlf: true, separator, trailing_separator: true, ..TextFormat::default() };
         let printf = Printf { ties_away: true, long_exponent: true };
-        Wrapping::Text(TextFormat { space_after: true, open_end: true, printf, columns, ..format })
+        let widths = (0..columns.len() as u8).collect();
+        Wrapping::Text(TextFormat { space_after: true, open_end: true, printf, columns, widths, ..format })
     }
 
     fn scaled(per_metre: f64, offset: f64) -> Wrapping {

@@ -226,6 +226,7 @@ const SPACE_AFTER: u64 = 32;
 const OPEN_END: u64 = 64;
 const TIES_AWAY: u64 = 128;
 const LONG_EXPONENT: u64 = 256;
+const PADDED: u64 = 512;
 
 /// How a C library prints numbers of a given number of digits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -254,6 +255,8 @@ pub struct TextFormat {
     pub printf: Printf,
     /// The columns, in the order of the file and of the record.
     pub columns: Vec<Column>,
+    /// Spaces fill shorter numbers up to this width from the left, for each column (`%8.3f`); empty if no column has one.
+    pub widths: Vec<u8>,
 }
 
 impl TextFormat {
@@ -263,13 +266,18 @@ impl TextFormat {
     }
 
     pub(super) fn validate(&self) -> Result<()> {
-        match self.columns.iter().all(|c| c.rule.suits(c.scalar)) {
+        let is_width = |width: &u8| *width <= MAX_DIGITS;
+        if !self.columns.iter().all(|c| c.rule.suits(c.scalar)) {
+            return Err(Error::corrupt("record layout: a number rule does not suit its column"));
+        }
+        let has_widths = self.widths.is_empty() || self.widths.len() == self.columns.len();
+        match has_widths && self.widths.iter().all(is_width) {
             true => Ok(()),
-            false => Err(Error::corrupt("record layout: a number rule does not suit its column")),
+            false => Err(Error::corrupt("record layout: widths of columns")),
         }
     }
 
-    /// Flags, then two bytes for each column; the number of columns follows from the fields.
+    /// Flags, then two bytes for each column, then the widths; the number of columns follows from the fields.
     pub(super) fn write_to(&self, out: &mut Vec<u8>) {
         let flag = |flag: u64, is_set: bool| if is_set { flag } else { 0 };
         let flags = flag(CRLF, self.crlf)
@@ -278,19 +286,22 @@ impl TextFormat {
             | flag(TRAILING_SEPARATOR, self.trailing_separator)
             | flag(OPEN_END, self.open_end)
             | flag(TIES_AWAY, self.printf.ties_away)
-            | flag(LONG_EXPONENT, self.printf.long_exponent);
+            | flag(LONG_EXPONENT, self.printf.long_exponent)
+            | flag(PADDED, !self.widths.is_empty());
         write_unsigned(out, flags);
         for column in &self.columns {
             let (rule, parameter) = column.rule.to_bytes();
             out.extend([column.scalar as u8 | rule << 4, parameter]);
         }
+        out.extend_from_slice(&self.widths);
     }
 
     /// Reads `columns` columns.
     pub(super) fn read_from(input: &mut &[u8], columns: u64) -> Result<Self> {
         let damaged = || Error::corrupt("record layout: text format");
         let flags = read_unsigned(input, "record layout: text format")?;
-        const OTHERS: u64 = CRLF | SPACE_AFTER | TRAILING_SEPARATOR | OPEN_END | TIES_AWAY | LONG_EXPONENT;
+        const OTHERS: u64 =
+            CRLF | SPACE_AFTER | TRAILING_SEPARATOR | OPEN_END | TIES_AWAY | LONG_EXPONENT | PADDED;
         let mut format = TextFormat {
             crlf: flags & CRLF != 0,
             separator: Separator::from_flag(flags & !OTHERS).ok_or_else(damaged)?,
@@ -299,6 +310,7 @@ impl TextFormat {
             open_end: flags & OPEN_END != 0,
             printf: Printf { ties_away: flags & TIES_AWAY != 0, long_exponent: flags & LONG_EXPONENT != 0 },
             columns: Vec::new(),
+            widths: Vec::new(),
         };
         // Not allocated up front: the list grows with the input.
         for _ in 0..columns {
@@ -307,6 +319,10 @@ impl TextFormat {
             let scalar = *Scalar::ALL.get(usize::from(kind & 15)).ok_or_else(damaged)?;
             let rule = NumberRule::from_bytes(kind >> 4, parameter).ok_or_else(damaged)?;
             format.columns.push(Column { scalar, rule });
+        }
+        if flags & PADDED != 0 {
+            let (widths, rest) = input.split_at_checked(format.columns.len()).ok_or_else(damaged)?;
+            (format.widths, *input) = (widths.to_vec(), rest);
         }
         Ok(format)
     }

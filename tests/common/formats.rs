@@ -87,6 +87,12 @@ pub fn pcd(
     bytes
 }
 
+/// Columns without a header, filled up with spaces.
+pub fn padded_columns(points: &[[f32; 4]]) -> Vec<u8> {
+    let lines = points.iter().map(|[x, y, z, i]| format!("{x:9.3} {y:9.3} {z:8.3} {i:5.2}\n"));
+    lines.collect::<String>().into_bytes()
+}
+
 /// PCD as text, with a field of a byte that is written as a character, as by old versions of PCL.
 pub fn pcd_characters(points: &[[f32; 4]]) -> Vec<u8> {
     let binary = pcd("x y z tag", "4 4 4 1", "F F F U", points, |_, _| Vec::new());

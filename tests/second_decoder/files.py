@@ -219,7 +219,8 @@ def text(layout, records):
         separator += " "
     lines = []
     for values in struct.iter_unpack("<" + "".join(c[0] for c in layout.columns), records):
-        lines.append(separator.join(number(v, *c) for v, c in zip(values, layout.columns)) + end)
+        texts = (number(v, *c).rjust(width) for v, c, width in zip(values, layout.columns, layout.widths))
+        lines.append(separator.join(texts) + end)
     if layout.flags & OPEN_END and lines:
         lines[-1] = lines[-1].removesuffix(line_end)
     return "".join(lines).encode("latin-1")

@@ -15,7 +15,7 @@ I8, U8, I16, U16, I32, U32, I64, U64, F32, F64 = range(10)
 SIZES = [struct.calcsize("<" + letter) for letter in TYPES]
 INTEGER, FIXED, SCIENTIFIC, SIGNIFICANT, SHORTEST, CHARACTER = range(6)
 # Of a text: flags, and separators by theirs.
-CRLF, TRAILING_SEPARATOR, SPACE_AFTER, OPEN_END = 1, 4, 32, 64
+CRLF, TRAILING_SEPARATOR, SPACE_AFTER, OPEN_END, PADDED = 1, 4, 32, 64, 512
 SEPARATORS = {0: " ", 2: "\t", 8: ",", 16: ";"}
 SEPARATOR_FLAGS = 2 | 8 | 16
 # Hash bits, multiplier, inserts of each dialect of LZF.
@@ -139,7 +139,7 @@ class Layout:
     def read_text(self, reader):
         """`columns`: letter, rule and parameter of each."""
         self.flags = reader.unsigned(1)
-        if self.flags & SEPARATOR_FLAGS not in SEPARATORS or self.flags > 127:
+        if self.flags & SEPARATOR_FLAGS not in SEPARATORS or self.flags & ~PADDED > 127:
             raise Refused("unknown flags of a text")
         self.columns = []
         for kind in (field.kind for field in self.fields for _ in range(field.count)):
@@ -147,3 +147,6 @@ class Layout:
             if first & 15 != kind:
                 raise Refused("unknown column of a text")
             self.columns.append((TYPES[kind], *self.rule(kind, first >> 4, parameter)))
+        self.widths = reader.take(len(self.columns)) if self.flags & PADDED else bytes(len(self.columns))
+        if any(width > 40 for width in self.widths):
+            raise Refused("unknown width of a text")
