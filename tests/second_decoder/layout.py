@@ -138,7 +138,7 @@ class Layout:
 
     def read_text(self, reader):
         """`columns`: letter, rule and parameter of each."""
-        self.flags = reader.unsigned(1)
+        self.flags = reader.varint()
         if self.flags & SEPARATOR_FLAGS not in SEPARATORS or self.flags & ~PADDED > 127:
             raise Refused("unknown flags of a text")
         self.columns = []
