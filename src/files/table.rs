@@ -205,16 +205,8 @@ mod tests {
 
     #[test]
     fn what_is_no_table_is_opaque() {
-        for body in [
-            "",
-            "\n",
-            "x,y,z\n",
-            "1 2\n3 4\n",
-            "a b c\nd e f\n",
-            "1,5;2,5;3,5\n",
-            "1,,3\n",
-            "\u{ff}",
-        ] {
+        for body in ["", "\n", "x,y,z\n", "1 2\n3 4\n", "a b c\nd e f\n", "1,5;2,5;3,5\n", "1,,3\n", "\u{ff}"]
+        {
             assert!(comes_back("a.csv", body.as_bytes().to_vec()).is_opaque(), "{body:?}");
             assert!(!starts_as_scan("a.csv", body.as_bytes()), "{body:?}");
         }
