@@ -345,13 +345,18 @@ fn several_files_are_listed_checked_and_decoded() {
     assert!(!bench.path("clash").exists());
 }
 
-#[test]
-fn a_damaged_file_does_not_hide_the_others() {
-    let bench = Bench::encoded();
+/// Writes `bad.lpc`, which is `out.lpc` with a bit of its second group changed.
+fn damage_second_group(bench: &Bench) {
     let mut bad = bench.read("out.lpc");
     let second = bench.json("info out.lpc --json")["groups"][1]["offset"].as_u64().unwrap() as usize;
     bad[second + 9] ^= 1;
     fs::write(bench.path("bad.lpc"), bad).unwrap();
+}
+
+#[test]
+fn a_damaged_file_does_not_hide_the_others() {
+    let bench = Bench::encoded();
+    damage_second_group(&bench);
     let run = bench.command("verify bad.lpc out.lpc").assert().code(1);
     let output = run.get_output();
     let (said, errors) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
@@ -400,10 +405,7 @@ fn every_command_reports_to_machines() {
 #[test]
 fn only_what_was_lost_is_reported_as_lost() {
     let bench = Bench::encoded();
-    let mut bad = bench.read("out.lpc");
-    let second = bench.json("info out.lpc --json")["groups"][1]["offset"].as_u64().unwrap() as usize;
-    bad[second + 9] ^= 1;
-    fs::write(bench.path("bad.lpc"), bad).unwrap();
+    damage_second_group(&bench);
     bench.ok("cut out.lpc --frames 2 -o one.lpc");
     let expected = serde_json::json!([{ "file": "bad.lpc", "places": 1, "frames": 2, "maybe_more": false }]);
     for (args, lost) in [
