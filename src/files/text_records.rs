@@ -1,5 +1,5 @@
 //! Records as text, in an ascii PCD or PLY or in columns without a header: one record per line, values
-//! between single separators. FORMAT.md 9.
+//! between single separators, perhaps filled up with spaces. FORMAT.md 9.
 //!
 //! Texts are converted to values only if the values restore the texts. Programs print numbers in different
 //! ways, so the rule of each column is found by trial, and its type too unless it is declared.
@@ -103,7 +103,7 @@ impl<'a> Body<'a> {
     /// wrote their fields: any byte, even one that separates values elsewhere.
     fn with_characters(body: &'a [u8], scalars: &[Option<Scalar>], points: u64) -> Option<Self> {
         let of_numbers: Vec<Option<Scalar>> =
-            scalars.iter().copied().filter(|scalar| !is_character(scalar)).collect();
+            scalars.iter().copied().filter(|scalar| !is_character(*scalar)).collect();
         let count = scalars.len() - of_numbers.len();
         if count == 0 {
             return None;
@@ -123,7 +123,7 @@ impl<'a> Body<'a> {
         let mut of_numbers = columns.into_iter().zip(values);
         let mut of_bytes = 0..;
         let columns = scalars.iter().map(|scalar| match *scalar {
-            Some(scalar) if is_character(&Some(scalar)) => {
+            Some(scalar) if is_character(Some(scalar)) => {
                 let bytes = lines.bytes.iter().copied().skip(of_bytes.next()?).step_by(count);
                 Some((Column { scalar, rule: NumberRule::Character }, bytes.take(records).collect()))
             }
@@ -136,8 +136,8 @@ impl<'a> Body<'a> {
 }
 
 /// Whether a column may be written as characters.
-fn is_character(scalar: &Option<Scalar>) -> bool {
-    matches!(scalar, Some(Scalar::I8 | Scalar::U8))
+fn is_character(scalar: Option<Scalar>) -> bool {
+    scalar.is_some_and(|scalar| scalar.size() == 1)
 }
 
 /// Lines whose values of one byte are written as such, separated by spaces.
@@ -153,7 +153,7 @@ impl<'a> Characters<'a> {
     /// Takes the values out of the next line. Returns what follows it; `None` if it is not like the lines before.
     fn read_line(&mut self, mut rest: &'a [u8], scalars: &[Option<Scalar>]) -> Option<&'a [u8]> {
         let mut scratch = Vec::new();
-        for (at, scalar) in scalars.iter().enumerate() {
+        for (at, &scalar) in scalars.iter().enumerate() {
             if at > 0 {
                 rest = rest.strip_prefix(b" ")?;
             }
