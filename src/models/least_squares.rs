@@ -5,8 +5,7 @@ mod batched;
 
 pub use batched::BatchedLeastSquares;
 
-/// `N` weights, solved again every few samples from the running normal equations. `N` is a multiple of
-/// [`LANES`].
+/// `N` weights, solved again every few samples from the running normal equations.
 #[derive(Clone, Debug)]
 pub struct LeastSquares<const N: usize> {
     /// The normal matrix. Above the diagonal, only the elements that share a block with it are kept.
@@ -28,7 +27,6 @@ const RIDGE: f32 = 0.05;
 impl<const N: usize> LeastSquares<N> {
     /// Starts with all weights 0. Each sample multiplies the weight of all earlier ones by `forget`.
     pub fn new(forget: f32) -> Self {
-        const { assert!(N.is_multiple_of(LANES)) };
         LeastSquares {
             normal: [[0.0; N]; N],
             right: [0.0; N],
@@ -66,11 +64,14 @@ impl<const N: usize> LeastSquares<N> {
     #[inline(always)]
     pub fn learn(&mut self, features: &[f32; N], target: f32, weight: f32) {
         let forget = self.forget;
-        let (blocks, _) = features.as_chunks::<LANES>();
+        let (blocks, rest) = features.as_chunks::<LANES>();
         for (i, row) in self.normal.iter_mut().enumerate() {
             let weighted = weight * features[i];
             // Whole blocks, up to the one on the diagonal.
-            let (row, _) = row.as_chunks_mut::<LANES>();
+            let (row, row_rest) = row.as_chunks_mut::<LANES>();
+            for (cell, feature) in row_rest.iter_mut().zip(rest) {
+                *cell = *cell * forget + weighted * feature;
+            }
             for (cells, features) in row.iter_mut().zip(blocks).take(i / LANES + 1) {
                 for lane in 0..LANES {
                     cells[lane] = cells[lane] * forget + weighted * features[lane];

@@ -33,7 +33,7 @@ pub use order::{OrderExceptions, OrderModel};
 pub use packed::{
     PACKED_INTENSITY_CONTEXTS, PACKED_RANGE_CONTEXTS, code_packed_intensities, code_packed_ranges,
 };
-pub use points::{Analysis, PointModel, PointTrail};
+pub use points::{Analysis, PointModel, PointTrail, TrailSizes};
 pub(crate) use range::Bins;
 pub use range::{KnownCells, RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens, start_tables};
 

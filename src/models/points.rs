@@ -6,12 +6,13 @@
 
 mod predecessors;
 mod repeats;
+mod site;
 mod trails;
 
-use repeats::{RepeatModel, Source};
+use repeats::{Repeat, RepeatModel, Source};
+use site::{DETAILS, Expected, Parallax, Place, Site, finite};
 use trails::{TrailModel, Trails};
 
-use super::least_squares::LeastSquares;
 use crate::entropy::{AdaptiveBit, ArithmeticEncoder, BitCoder, MixedBits, code_below_highest};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scan::Channel;
@@ -27,24 +28,28 @@ pub struct PointModel {
     parallax: Parallax,
 }
 
-/// The indices of the points that are not repeats.
-fn not_repeated(sources: &[Option<Source>]) -> Vec<usize> {
-    (0..sources.len()).filter(|&index| sources[index].is_none()).collect()
-}
-
-/// What an encoder finds out about positions before they are coded.
+/// What an encoder finds out about positions before they are coded. That of a decoder, which knows nothing, is empty.
 #[derive(Clone, Debug)]
 pub struct Analysis {
     grid: Coordinates,
+    repeats: Vec<Repeat>,
     /// For each point that is not a repeat: the number, among these, of the point before it in its trail.
     before: Vec<Option<usize>>,
+    /// If channels may tell the trails: about the number of bytes by the best channel, and by the order of the points.
+    pub sizes_by: Option<TrailSizes>,
 }
 
 impl Default for Analysis {
-    /// Of a decoder, which knows nothing.
     fn default() -> Self {
-        Analysis { grid: Coordinates::Float32, before: Vec::new() }
+        Analysis { grid: Coordinates::Float32, repeats: Vec::new(), before: Vec::new(), sizes_by: None }
     }
+}
+
+/// About the number of bytes of some points, by the way in which their trails are found.
+#[derive(Clone, Copy, Debug)]
+pub struct TrailSizes {
+    pub channel: usize,
+    pub order: usize,
 }
 
 /// What is known of a point besides its position, once it is coded.
@@ -63,43 +68,13 @@ impl PointTrail {
     }
 }
 
-/// The coordinates of a point in other terms.
-#[derive(Clone, Copy, Default)]
-struct Place {
-    position: [f64; 3],
-    /// In radians.
-    azimuth: f64,
-    /// The distance from the vertical axis, in metres.
-    distance: f64,
-    /// The index of the point before it in its trail, if it continues one.
-    before: Option<usize>,
-}
-
-impl Place {
-    fn of(position: [f32; 3], before: Option<usize>) -> Self {
-        let position = finite(position);
-        let [x, y, _] = position;
-        Place { position, azimuth: libm::atan2(y, x), distance: (x * x + y * y).sqrt(), before }
-    }
-
-    fn closeness(&self) -> f64 {
-        closeness(self.distance)
-    }
-}
-
-/// The reciprocal of a distance, limited to that of a centimetre.
-fn closeness(distance: f64) -> f64 {
-    1.0 / distance.max(0.01)
+/// The indices of the points that are not repeats.
+fn not_repeated<T>(points: &[T], is_own: impl Fn(&T) -> bool) -> Vec<usize> {
+    (0..points.len()).filter(|&index| is_own(&points[index])).collect()
 }
 
 /// The number of points from whose size that of all is estimated.
 const SAMPLE: usize = 4 * predecessors::BLOCK;
-
-/// A difference of angles, in radians, as one of half a turn at most.
-fn turned(angle: f64) -> f64 {
-    const TURN: f64 = std::f64::consts::TAU;
-    angle - TURN * crate::ground::rounding::round_ties_even(angle / TURN)
-}
 
 impl PointModel {
     /// For an encoder: what `code` needs to know about positions before it codes them. Most of them are on `grid`; `None`
@@ -111,9 +86,10 @@ impl PointModel {
         channels: &[Channel],
     ) -> Analysis {
         let grid = grid.unwrap_or_else(|| Coordinates::of_most(positions));
-        let sources = RepeatModel::default().code(&mut ArithmeticEncoder::default(), positions);
-        let before = self.find_trails(grid, positions, channels, &not_repeated(&sources));
-        Analysis { grid, before }
+        let repeats = repeats::find(positions);
+        let own = not_repeated(&repeats, |repeat| *repeat == Repeat::No);
+        let (before, sizes_by) = self.find_trails(grid, positions, channels, &own);
+        Analysis { grid, repeats, before, sizes_by }
     }
 
     /// Codes positions one after the other. Their grid, if it is not given, comes first. An encoder passes the analysis
@@ -126,8 +102,9 @@ impl PointModel {
         analysis: &Analysis,
     ) -> Vec<PointTrail> {
         let grid = grid.unwrap_or_else(|| code_grid(coder, analysis.grid));
-        let sources = self.repeats.code(coder, positions);
-        let mut trails = self.code_own(coder, grid, positions, &not_repeated(&sources), &analysis.before);
+        let sources = self.repeats.code(coder, positions.len(), &analysis.repeats);
+        let own = not_repeated(&sources, Option::is_none);
+        let mut trails = self.code_own(coder, grid, positions, &own, &analysis.before);
         for (index, source) in sources.iter().enumerate() {
             let Some(source) = source else { continue };
             positions[index] = source.position(positions);
@@ -141,29 +118,29 @@ impl PointModel {
     /// About the number of bytes that `code` would take.
     pub fn size_of(&self, positions: &[[f32; 3]], analysis: &Analysis) -> usize {
         let mut encoder = ArithmeticEncoder::default();
-        let sources = self.repeats.clone().code(&mut encoder, positions);
-        let own = not_repeated(&sources);
+        let sources = self.repeats.clone().code(&mut encoder, positions.len(), &analysis.repeats);
+        let own = not_repeated(&sources, Option::is_none);
         encoder.finish().len() + self.size_of_own(analysis.grid, positions, &own, &analysis.before)
     }
 
     /// For an encoder: the number of the point before each of the points `own` in its trail, by the way that takes the
-    /// fewest bytes.
+    /// fewest bytes, and the bytes that decided it.
     fn find_trails(
         &self,
         grid: Coordinates,
         positions: &[[f32; 3]],
         channels: &[Channel],
         own: &[usize],
-    ) -> Vec<Option<usize>> {
+    ) -> (Vec<Option<usize>>, Option<TrailSizes>) {
         let size = |known: &Vec<Option<usize>>| self.size_of_own(grid, positions, own, known);
         let by_channels = predecessors::by_channels(channels, positions.len(), own);
         let sized = by_channels.into_iter().map(|known| (size(&known), known));
-        let by_channel = sized.min_by_key(|(size, _)| *size);
-        let best = by_channel.filter(|(of_channel, _)| {
-            let of_sample = predecessors::by_order(positions, &own[..own.len().min(SAMPLE)]);
-            *of_channel < size(&of_sample)
-        });
-        best.map_or_else(|| predecessors::by_order(positions, own), |(_, known)| known)
+        let Some((channel, by_channel)) = sized.min_by_key(|(size, _)| *size) else {
+            return (predecessors::by_order(positions, own), None);
+        };
+        let order = size(&predecessors::by_order(positions, &own[..own.len().min(SAMPLE)]));
+        let before = if channel < order { by_channel } else { predecessors::by_order(positions, own) };
+        (before, Some(TrailSizes { channel, order }))
     }
 
     /// About the number of bytes of the points `own`, from the first of them.
@@ -208,7 +185,7 @@ impl PointModel {
         known_trails
     }
 
-    /// Codes a point in the current trail.
+    /// Codes a point in the current trail: FORMAT.md 8.4, Coordinates.
     fn code_point<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -219,164 +196,33 @@ impl PointModel {
         mut position: [f32; 3],
     ) -> [f32; 3] {
         let Some(trail) = trails.current() else { return position };
-        let index = places.len();
-        let at = |index: usize| places.get(index).copied().unwrap_or_default();
-        let [last, earlier] = match continues {
-            true => trail.last,
-            false => [index.saturating_sub(1), index.saturating_sub(2)],
-        };
-        let (west, west2) = (at(last), at(earlier));
-        let partners = Partners::of(places, last).filter(|_| continues);
-        let [north, north_west] = partners.as_ref().map_or([west; 2], |partners| partners.nearest.map(at));
-        let models = self.coordinates.get_or_insert_default();
-        let [x_or_y, y_or_x, z] = &mut models[usize::from(!continues)];
-        let [major_error, minor_error, z_error] = &mut trail.errors;
+        let site = Site::of(places, continues.then_some(trail.last), &self.parallax);
+        let models = &mut self.coordinates.get_or_insert_default()[usize::from(!continues)];
+        let [larger, smaller, height] = models;
+        let [larger_error, smaller_error, height_error] = &mut trail.errors;
 
-        // The expected direction, and the larger coordinate in it.
-        let offset = self.parallax.offset();
-        let step = self.parallax.step(north, north_west);
-        let middle_step =
-            partners.as_ref().map_or(step, |partners| partners.middle_step(places, &self.parallax));
-        let azimuth = west.azimuth + step;
-        let direction = [libm::cos(azimuth), libm::sin(azimuth)];
-        let (major, minor) = if direction[0].abs() >= direction[1].abs() { (0, 1) } else { (1, 0) };
-        let farther = [west.distance - west2.distance, north.distance - north_west.distance];
-        let distances = [west.distance, west.distance + farther[0], west.distance + farther[1]];
-        let predictions = distances.map(|distance| distance * direction[major]);
-        let detail = farther.map(|farther| (exponent(farther) + 8).clamp(0, 7) as usize);
-        let detail = detail[0] * 8 + detail[1];
-        position[major] = x_or_y.code(coder, grid, predictions, (detail, major_error), position[major]);
+        let direction = site.direction();
+        let [major, minor] = if direction[0].abs() >= direction[1].abs() { [0, 1] } else { [1, 0] };
+        let share = direction[major];
+        let expected = site.larger_coordinate(share);
+        position[major] = larger.code(coder, grid, expected, larger_error, position[major]);
 
-        // The other one, in the direction that is expected at the resulting distance.
-        let along = finite(position)[major];
-        let closer = closeness(along / direction[major]) - west.closeness();
-        let plain_step = turned(north.azimuth - north_west.azimuth);
-        let azimuths = [
-            azimuth + offset * closer,
-            west.azimuth + middle_step + offset * closer,
-            west.azimuth + plain_step,
-            west.azimuth + turned(west.azimuth - west2.azimuth),
-        ];
-        let predictions = azimuths.map(|azimuth| {
-            let direction = [libm::cos(azimuth), libm::sin(azimuth)];
-            along * direction[minor] / direction[major]
-        });
-        let detail = (exponent(closer) + 22).clamp(0, 31) as usize;
-        position[minor] = y_or_x.code(coder, grid, predictions, (detail, minor_error), position[minor]);
+        let expected = site.smaller_coordinate(finite(position)[major], major, share);
+        position[minor] = smaller.code(coder, grid, expected, smaller_error, position[minor]);
 
-        // The height at this distance.
+        let [last, _] = trail.last;
         let own = Place::of(position, continues.then_some(last));
-        let steps: [f64; 3] = [
-            own.distance - west.distance,
-            own.position[0] - west.position[0],
-            own.position[1] - west.position[1],
-        ];
-        let tenths = |metres: f64| (metres * 1e4).clamp(-1e7, 1e7) as f32;
-        let features = [tenths(steps[0]), tenths(steps[1]), tenths(steps[2]), 1.0];
-        let in_line = |place: Place| {
-            if place.distance == 0.0 {
-                place.position[2]
-            } else {
-                place.position[2] * (own.distance / place.distance)
-            }
-        };
-        let height = west.position[2];
-        let predictions = [
-            height + f64::from(trail.cone.predict(&features)) / 1e4,
-            in_line(west),
-            in_line(west) + in_line(north) - in_line(north_west),
-            2.0 * height - west2.position[2],
-        ];
-        let detail = (exponent(steps[0]) + 14).clamp(0, 31) as usize;
-        position[2] = z.code(coder, grid, predictions, (detail, z_error), position[2]);
+        let features = site.features(&own);
+        let expected = site.height(&own, &features, &trail.cone);
+        position[2] = height.code(coder, grid, expected, height_error, position[2]);
 
-        let own = Place { position: finite(position), ..own };
+        let own = own.with_height(position[2]);
         if continues {
-            let shared = features[0] / 1000.0;
-            trail.cone.learn(&features, tenths(own.position[2] - height), 1.0 / (1.0 + shared * shared));
-            self.parallax.learn([own, west], [north, north_west]);
-            trail.last = [index, last];
+            site.teach(own, &features, &mut trail.cone, &mut self.parallax);
+            trail.last = [places.len(), last];
         }
         places.push(own);
         position
-    }
-}
-
-/// The latest points of other lasers that were measured together with the coming one, as far as their predecessors were
-/// measured together with its own.
-struct Partners {
-    /// The latest partner, and its predecessor.
-    nearest: [usize; 2],
-    /// Up to three.
-    all: [[usize; 2]; 3],
-    count: usize,
-}
-
-impl Partners {
-    /// The partners of a point whose trail has `last` as its last point.
-    fn of(places: &[Place], last: usize) -> Option<Self> {
-        const FARTHEST: usize = 12;
-        const MISSING: usize = 8;
-        let mut partners = Partners { nearest: [0; 2], all: [[0; 2]; 3], count: 0 };
-        let latest = places.iter().enumerate().rev().zip(1..=FARTHEST);
-        for ((index, place), back) in latest {
-            let Some(before) =
-                place.before.filter(|&before| before < last && last - before <= back + MISSING)
-            else {
-                continue;
-            };
-            partners.all[partners.count] = [index, before];
-            partners.count += 1;
-            if partners.count == partners.all.len() {
-                break;
-            }
-        }
-        partners.nearest = partners.all[0];
-        (partners.count > 0).then_some(partners)
-    }
-
-    /// The step of the middle one of three partners; if there are fewer, of the nearest.
-    fn middle_step(&self, places: &[Place], parallax: &Parallax) -> f64 {
-        let mut steps = self.all.map(|[index, before]| parallax.step(places[index], places[before]));
-        if self.count < self.all.len() {
-            return steps[0];
-        }
-        steps.sort_by(f64::total_cmp);
-        steps[1]
-    }
-}
-
-/// How far beside the origin the beams begin: for a moving scanner, or one that is not the origin, a laser's azimuth
-/// changes with the distance of what it hits.
-#[derive(Clone)]
-struct Parallax(LeastSquares<4>);
-
-impl Default for Parallax {
-    fn default() -> Self {
-        Parallax(LeastSquares::new(0.998).solved_every(1))
-    }
-}
-
-impl Parallax {
-    /// In metres, to the left of the direction.
-    fn offset(&self) -> f64 {
-        f64::from(self.0.predict(&[1.0, 0.0, 0.0, 0.0])).clamp(-3.0, 3.0)
-    }
-
-    /// How far a laser has turned between two points, in radians.
-    fn step(&self, to: Place, from: Place) -> f64 {
-        turned(to.azimuth - from.azimuth) - self.offset() * (to.closeness() - from.closeness())
-    }
-
-    /// Learns from a point, the one before it, and the same of another laser.
-    fn learn(&mut self, [own, west]: [Place; 2], [north, north_west]: [Place; 2]) {
-        /// In radians; what differs by more is not a matter of parallax.
-        const LARGEST: f64 = 8e-4;
-        let step = turned(own.azimuth - west.azimuth) - turned(north.azimuth - north_west.azimuth);
-        if step.abs() < LARGEST {
-            let closer = (own.closeness() - west.closeness()) - (north.closeness() - north_west.closeness());
-            self.0.learn(&[(closer * 1e6) as f32, 0.0, 0.0, 0.0], (step * 1e6) as f32, 1.0);
-        }
     }
 }
 
@@ -384,8 +230,6 @@ impl Parallax {
 const FIRST_ERROR: f32 = -6.0;
 /// Classes of errors, in bits.
 const ERRORS: usize = 40;
-/// Classes of what else is known of a coordinate.
-const DETAILS: usize = 64;
 /// Lengths of residuals, in bits.
 const LENGTHS: usize = 64;
 
@@ -415,13 +259,13 @@ impl Default for CoordinateModel {
 }
 
 impl CoordinateModel {
-    /// Codes a coordinate. `detail` is what is known of it; `trail_error`, the recent size of residuals in its trail, changes.
+    /// Codes a coordinate. `trail_error`, the recent size of residuals in its trail, changes.
     fn code<C: BitCoder, const N: usize>(
         &mut self,
         coder: &mut C,
         grid: Coordinates,
-        predictions: [f64; N],
-        (detail, trail_error): (usize, &mut f32),
+        Expected { predictions, detail }: Expected<N>,
+        trail_error: &mut f32,
         value: f32,
     ) -> f32 {
         let best = (0..N).min_by(|&a, &b| self.errors[a].total_cmp(&self.errors[b])).unwrap_or(0);
@@ -470,14 +314,4 @@ fn code_grid<C: BitCoder>(coder: &mut C, grid: Coordinates) -> Coordinates {
     let kind = coder.code_plain(kind.into(), 3) as u32;
     let step = if kind < 2 { 0 } else { coder.code_plain(step.into(), 30) as u32 };
     Coordinates::from_numbers(kind, step).unwrap_or(Coordinates::Float32)
-}
-
-/// The exponent of a number's highest binary digit; -1023 for 0.
-fn exponent(value: f64) -> i32 {
-    (value.to_bits() >> 52 & 0x7ff) as i32 - 1023
-}
-
-/// A position to predict from; coordinates that are not finite count as 0.
-fn finite(position: [f32; 3]) -> [f64; 3] {
-    position.map(|v| if v.is_finite() { f64::from(v) } else { 0.0 })
 }

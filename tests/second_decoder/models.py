@@ -93,8 +93,10 @@ def learnt(counter, bit):
 
 
 def dot(a, b):
-    """The sum of products in four lanes; both have a multiple of four elements."""
+    """The sum of products in four lanes; both have one element or a multiple of four."""
     p = array("f", map(mul, a, b))
+    if len(p) == 1:
+        return p[0]
     if len(p) > 4:
         lanes = p[:4]
         for k in range(4, len(p), 4):
@@ -363,7 +365,10 @@ _TRIANGLES = {}
 def _triangle(n):
     if n not in _TRIANGLES:
         pairs = [(i, j) for i in range(n) for j in range(i + 1)]
-        _TRIANGLES[n] = itemgetter(*[i for i, _ in pairs]), itemgetter(*[j for _, j in pairs])
+        # With a single index, itemgetter returns no tuple.
+        single = lambda f: (f[0],)
+        of = lambda places: itemgetter(*places) if n > 1 else single
+        _TRIANGLES[n] = of([i for i, _ in pairs]), of([j for _, j in pairs])
     return _TRIANGLES[n]
 
 

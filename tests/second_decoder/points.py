@@ -191,7 +191,7 @@ class Points:
         self.repeats = Repeats()
         self.trails = TrailModel()
         self.coordinates = None
-        self.parallax = LeastSquares(4, f32(0.998), 1)
+        self.parallax = LeastSquares(1, f32(0.998), 1)
 
     def code(self, bits, n, grid):
         """The positions, as bits of float32s, and for each the row of its trail, the point before it, and whether that is
@@ -218,7 +218,7 @@ class Points:
         return points, rows
 
     def offset(self):
-        return clamped(self.parallax.predict((1.0, 0.0, 0.0, 0.0)), -3.0, 3.0)
+        return clamped(self.parallax.predict((1.0,)), -3.0, 3.0)
 
     def step(self, to, before):
         return turned(to.azimuth - before.azimuth) - self.offset() * (to.close - before.close)
@@ -298,7 +298,7 @@ class Points:
             t = turned(own.azimuth - west.azimuth) - turned(north.azimuth - north_west.azimuth)
             c = (own.close - west.close) - (north.close - north_west.close)
             if abs(t) < 0.0008:
-                self.parallax.learn([f32(c * 1e6), 0.0, 0.0, 0.0], f32(t * 1e6), 1.0)
+                self.parallax.learn([f32(c * 1e6)], f32(t * 1e6), 1.0)
             trail.last, trail.earlier = n, trail.last
         places.append(own)
         return tuple(point)

@@ -1,5 +1,7 @@
 //! Points outside any range image.
 
+use std::cell::LazyCell;
+
 use byteorder::{ByteOrder, LittleEndian};
 
 use crate::backend::{Level, Trial};
@@ -9,7 +11,7 @@ use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::models::channels::{Compressed, code_compressed};
-use crate::models::{Analysis, PointModel, PointTrail};
+use crate::models::{Analysis, PointModel, PointTrail, TrailSizes};
 use crate::scan::{Channel, Scalar};
 use crate::scanner::Coordinates;
 
@@ -20,6 +22,8 @@ pub struct StrayModels {
     are_compressed: AdaptiveBit,
     /// Of compression in place of the model.
     trial: Trial,
+    /// Of channels, in place of the order of the points, to tell their trails.
+    channel_trial: Trial,
 }
 
 impl StrayModels {
@@ -60,19 +64,24 @@ impl StrayModels {
                 true => positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect(),
                 false => Vec::new(),
             };
-            let likeness = || Trial::likeness(&bytes, positions.len());
+            let likeness = LazyCell::new(|| Trial::likeness(&bytes, positions.len()));
             let compress = |most| Compressed::shortest(&bytes, Scalar::F32, WIDTH, level, most);
-            if may_compress && self.trial.has_won(likeness) {
+            if may_compress && self.trial.has_won(|| *likeness) {
                 compressed = compress(usize::MAX);
             }
             if compressed.is_none() {
+                let tell_nothing = may_compress && self.channel_trial.has_lost(|| *likeness);
+                let channels = if tell_nothing { &[] } else { channels };
                 analysis = self.points.analyse(lattice, positions, channels);
+                if let Some(TrailSizes { channel, order }) = analysis.sizes_by.filter(|_| may_compress) {
+                    self.channel_trial = Trial::of(channel, order, *likeness);
+                }
             }
-            if may_compress && compressed.is_none() && !self.trial.has_lost(likeness) {
+            if may_compress && compressed.is_none() && !self.trial.has_lost(|| *likeness) {
                 let own = self.points.size_of(positions, &analysis);
                 compressed = compress(own);
                 let size = compressed.as_ref().map(Compressed::size);
-                self.trial = size.map_or(Trial::Open, |size| Trial::of(size, own, likeness()));
+                self.trial = size.map_or(Trial::Open, |size| Trial::of(size, own, *likeness));
                 compressed.take_if(|found| found.size() >= own);
             }
         }

@@ -98,19 +98,22 @@ pub fn by_order(positions: &[[f32; 3]], own: &[usize]) -> Vec<Option<usize>> {
     /// Points before a trail's end that are looked at where the likeliest lag leads nowhere.
     const REACH: usize = 3 * LONGEST;
     let directions = Directions::of(own.iter().map(|&index| positions[index]));
-    let mut goes_on = vec![false; own.len()];
+    // The points that end a trail, so far.
+    let mut ends: Vec<usize> = Vec::new();
     let mut found = Vec::with_capacity(own.len());
     for (point, lag) in likeliest_lags(&directions).into_iter().enumerate() {
-        let cost = |before: usize| directions.cost(before, point);
-        let fits = |before: &usize| !goes_on[*before] && cost(*before) < MOST_APART;
-        let before = point.checked_sub(lag).filter(|_| lag > 0).filter(fits).or_else(|| {
-            let ends = (point.saturating_sub(REACH)..point).filter(fits);
-            ends.min_by(|&a, &b| cost(a).total_cmp(&cost(b)))
+        let too_far = ends.partition_point(|&end| end + REACH < point);
+        ends.drain(..too_far);
+        let cost = |end: usize| directions.cost(ends[end], point);
+        let likeliest = point.checked_sub(lag).filter(|_| lag > 0);
+        let likeliest = likeliest.and_then(|before| ends.binary_search(&before).ok());
+        let end = likeliest.filter(|&end| cost(end) < MOST_APART).or_else(|| {
+            let costs = (0..ends.len()).map(|end| (cost(end), end));
+            let near = costs.filter(|(cost, _)| *cost < MOST_APART);
+            near.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, end)| end)
         });
-        if let Some(before) = before {
-            goes_on[before] = true;
-        }
-        found.push(before);
+        found.push(end.map(|end| ends.remove(end)));
+        ends.push(point);
     }
     found
 }
