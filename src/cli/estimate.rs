@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::time::Instant;
 
 use crate::files::sequence::find_frames;
-use crate::frame::settings::resolve_threads;
+use crate::ground::team::resolve_threads;
 use crate::stream::{self, FrameInput, scanner_choice};
 use crate::study::metrics;
 use anyhow::Result;

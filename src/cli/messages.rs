@@ -6,10 +6,10 @@ use std::time::Instant;
 
 use crate::files::{ArrivedFile, ArrivingFrames, collected};
 use crate::frame::EncoderConfig;
-use crate::frame::settings::resolve_threads;
 use crate::ground::error;
+use crate::ground::team::resolve_threads;
+use crate::ground::team::{on, pool_for_frames};
 use crate::stream::encoder::encode_known;
-use crate::stream::ordered::{on, pool_for_frames};
 use crate::stream::scanner_choice::KeptScanners;
 use crate::stream::{self, DecodeOptions, FrameInput};
 use crate::study::metrics;

@@ -9,8 +9,9 @@ use std::time::Instant;
 
 use crate::files::names::natural_cmp;
 use crate::files::sequence::{FoundFile, LeftOut, LeftOutKind, STREAM_EXTENSION};
-use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::frame::settings::EncoderConfig;
 use crate::ground::error::Error;
+use crate::ground::team::resolve_threads;
 use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
 use indicatif::ProgressBar;

@@ -6,7 +6,6 @@ use std::ops::Range;
 
 use super::copier::{GroupCopier, Named};
 use crate::container::{Group, Lost, SalvageReader, Salvaged};
-use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::decoder::{DecodedFrame, decode_group};
 use crate::stream::options::{DecodeOptions, FrameRange};
@@ -50,7 +49,7 @@ pub fn recover(
         })
     };
     let deliver = |parts: Vec<Recovered>| parts.into_iter().try_for_each(&mut sink);
-    run_ordered(resolve_threads(options.threads), &mut groups, work, deliver)?;
+    run_ordered(options.threads, &mut groups, work, deliver)?;
     if let Some(index) = groups.reader.index() {
         // There may be more scans than the index counts, if the bytes come from several streams.
         options.frames.check(groups.scans.max(index.scan_count()))?;

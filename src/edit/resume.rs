@@ -31,7 +31,7 @@ use kept::Kept;
 use settings::Settings;
 
 use crate::container::ScannerRecord;
-use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Result};
 use crate::stream::encoded::{Encoded, OpenStream};
 use crate::stream::encoder::{SequenceCoder, groups_of};
@@ -162,7 +162,7 @@ fn compare_inputs(
         }
         Ok(())
     };
-    run_ordered(resolve_threads(config.threads), pairs, compare, Ok)
+    run_ordered(config.threads, pairs, compare, Ok)
 }
 
 /// An error about a partial stream.

@@ -328,7 +328,7 @@ impl SectionCoder for SectionReader<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::ordered::pool;
+    use crate::ground::team::pool;
 
     #[test]
     fn two_parts_at_once_are_written_and_read_in_their_order() {

@@ -1,7 +1,5 @@
 //! The coder controller (article, III-H): all settings of the encoder in one place.
 
-use std::thread;
-
 use super::fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
 use super::levels::{self, InterChoice, LevelSettings};
 use super::modelling::Modelling;
@@ -425,14 +423,6 @@ fn wrong(what: &str) -> Result<()> {
 
 fn require(holds: bool, what: &str) -> Result<()> {
     if holds { Ok(()) } else { wrong(what) }
-}
-
-/// The number of threads to use: one for each processor if `threads` is 0.
-pub(crate) fn resolve_threads(threads: usize) -> usize {
-    match threads {
-        0 => thread::available_parallelism().map_or(1, Into::into),
-        _ => threads,
-    }
 }
 
 #[cfg(test)]

@@ -11,10 +11,11 @@ use rayon::ThreadPool;
 use super::range_image::RangeImage;
 use super::scan::Scan;
 use crate::container::{FrameHeader, IndexedReader, Stamp, StreamReader, Unit};
-use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Limits, Result};
+use crate::ground::team::resolve_threads;
+use crate::ground::team::{on, pool_for_frames};
 use crate::stream::decoder::{DecodedFrame, PartlyDecodedGroup, decode_group};
-use crate::stream::ordered::{Workers, on, pool_for_frames};
+use crate::stream::ordered::Workers;
 use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
 use crate::stream::{DecodeOptions, FrameRange};
 
@@ -376,7 +377,7 @@ impl<'d> Scans<'d> {
     fn advance(&mut self) -> Result<bool> {
         let workers = match &mut self.workers {
             Some(workers) => workers,
-            empty => empty.insert(Workers::new(resolve_threads(self.options.threads))?),
+            empty => empty.insert(Workers::new(self.options.threads)?),
         };
         // A single thread decodes only when scans are requested, so that no group has to wait.
         while !self.ended && !workers.is_full() {

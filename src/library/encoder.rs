@@ -9,12 +9,13 @@ use rayon::ThreadPool;
 use super::scan::Scan;
 use super::settings::Settings;
 use crate::container::Stamp;
-use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Result};
+use crate::ground::team::{on, pool_for_frames};
 use crate::stream::FrameInput;
 use crate::stream::encoded::OpenStream;
 use crate::stream::encoder::{EncodedGroup, SequenceCoder, encode_known};
-use crate::stream::ordered::{Workers, on, pool_for_frames};
+use crate::stream::ordered::Workers;
 use crate::stream::scanner_choice::{DriveScanners, KeptScanners, choose_scanners, records_of};
 
 /// Encodes scans as they arrive. The scanner is fitted to the first group of scans; groups are coded on other
@@ -176,7 +177,7 @@ impl<W: Write> Coding<W> {
     fn begin(out: W, group: &[FrameInput], config: &EncoderConfig) -> Result<Self> {
         let scanners = Arc::new(choose_scanners(group, config)?);
         let stream = OpenStream::begin(out, &records_of(&scanners))?;
-        Ok(Coding { scanners, workers: Workers::new(resolve_threads(config.threads))?, stream })
+        Ok(Coding { scanners, workers: Workers::new(config.threads)?, stream })
     }
 
     /// Starts the coding of a group, and writes those that are done.

@@ -45,10 +45,12 @@ impl Default for Analysis {
     }
 }
 
-/// About the number of bytes of some points, by the way in which their trails are found.
+/// About the number of bytes of some points, by what tells their trails.
 #[derive(Clone, Copy, Debug)]
 pub struct TrailSizes {
+    /// A channel that names lasers.
     pub channel: usize,
+    /// The order of the points.
     pub order: usize,
 }
 

@@ -11,7 +11,6 @@ use super::pack::unpacked;
 use super::records::{Faults, Records};
 use crate::container::{self, Stamp, StreamReader, Time, TimeSource, Unit};
 use crate::frame::FrameParameters;
-use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Limits, Result};
 use crate::library::Scan;
 use crate::stream::ordered::run_ordered;
@@ -196,7 +195,7 @@ pub fn examine(
         Ok((place, bytes, is_compressed, counted))
     };
     let mut faults = Faults::default();
-    run_ordered(resolve_threads(threads), jobs.fuse(), work, |(place, bytes, is_compressed, cloud)| {
+    run_ordered(threads, jobs.fuse(), work, |(place, bytes, is_compressed, cloud)| {
         let topic = &mut locked()[place];
         topic.messages += 1;
         topic.bytes += bytes;

@@ -10,7 +10,7 @@ use super::contents::{TopicFilter, damaged_cloud};
 use super::message::{self, Encoding};
 use super::records::{Faults, Output, Records, numbers_in};
 use crate::container::{Stamp, Time, TimeSource, Unit};
-use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::frame::settings::EncoderConfig;
 use crate::frame::{Intensity, Positions};
 use crate::ground::error::{Error, Result};
 use crate::library::{Decoder, Settings};
@@ -146,7 +146,7 @@ fn copy<W: Write + Seek>(
     let mut copied = Copied::default();
     let mut faults = Faults::default();
     let jobs = std::iter::from_fn(|| Some(job(records.next()?)));
-    run_ordered(resolve_threads(threads), jobs.fuse(), Job::done, |done| {
+    run_ordered(threads, jobs.fuse(), Job::done, |done| {
         if let Some((points, [before, after])) = done.cloud {
             copied.clouds += 1;
             copied.points += points;

@@ -11,7 +11,6 @@ use crate::container::{CodedFrame, FrameHeader, IndexedReader, StreamReader};
 use crate::files;
 use crate::frame::group::{DecodedImage, DecodedScan, GroupDecoder};
 use crate::frame::parameters::Source;
-use crate::frame::settings::resolve_threads;
 use crate::frame::stages::StageReport;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
@@ -110,7 +109,7 @@ fn decode_jobs<T: Send>(
 ) -> Result<()> {
     let work = |job| decode_group(job, options, &work);
     let deliver = |results: Vec<T>| results.into_iter().try_for_each(&mut sink);
-    run_ordered(resolve_threads(options.threads), jobs, work, deliver)
+    run_ordered(options.threads, jobs, work, deliver)
 }
 
 /// Decodes the frames of a group up to the last requested one, and calls `work` on each requested one.

@@ -10,7 +10,7 @@ use super::ordered::run_ordered;
 use super::scanner_choice::{DriveScanners, choose_scanners, records_of};
 use crate::container::{CodedFrame, FrameHeader, Group};
 use crate::frame::group::GroupEncoder;
-use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::frame::settings::EncoderConfig;
 use crate::frame::stages::StageReport;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
@@ -127,7 +127,7 @@ impl<'a> SequenceCoder<'a> {
         write: impl FnMut(Vec<EncodedGroup>) -> Result<()>,
     ) -> Result<()> {
         let work = |group: Cow<'_, [FrameInput]>| self.encode_frames(group.into_owned());
-        run_ordered(resolve_threads(self.config.threads), groups, work, write)
+        run_ordered(self.config.threads, groups, work, write)
     }
 
     /// Encodes frames of one drive as one group, or as several if they are very large.

@@ -6,9 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread;
 
-use rayon::{ThreadPool, ThreadPoolBuildError};
+use rayon::ThreadPool;
 
-use crate::frame::settings::resolve_threads;
 use crate::ground::error::{Error, Result};
 use crate::ground::team;
 
@@ -22,38 +21,7 @@ enum Event<J, T> {
     Done(usize, Result<T>),
 }
 
-/// A pool of `threads` threads.
-///
-/// # Errors
-/// If they cannot be started.
-pub(crate) fn pool(threads: usize) -> Result<ThreadPool> {
-    team::pool(threads).build().map_err(|e| no_threads(threads, &e))
-}
-
-/// A pool for parallel work within a frame; none if `threads` is 1.
-///
-/// # Errors
-/// If they cannot be started.
-pub(crate) fn pool_for_frames(threads: usize) -> Result<Option<ThreadPool>> {
-    /// The largest number of parallel tasks: two halves.
-    const MOST: usize = 2;
-    let threads = resolve_threads(threads).min(MOST);
-    (threads > 1).then(|| pool(threads)).transpose()
-}
-
-/// Runs a function on a thread of a pool, or on this thread if there is no pool.
-pub(crate) fn on<T: Send>(pool: Option<&ThreadPool>, work: impl FnOnce() -> T + Send) -> T {
-    match pool {
-        Some(pool) => pool.install(work),
-        None => work(),
-    }
-}
-
-fn no_threads(threads: usize, error: &ThreadPoolBuildError) -> Error {
-    Error::Internal(format!("cannot start {threads} threads: {error}"))
-}
-
-/// Calls `work` for each job on `threads` threads and passes the results to `sink` in the order of the jobs,
+/// Calls `work` for each job on `threads` threads (0: one for each processor) and passes the results to `sink` in the order of the jobs,
 /// each as soon as it and those before are available. Jobs are drawn on a separate thread, which may wait for
 /// its input; results are passed on the calling thread. At most `threads + 1` jobs are drawn, running or waiting
 /// at a time, so that memory does not grow with their number. After an error, this returns only when the job that
@@ -68,7 +36,8 @@ pub(crate) fn run_ordered<J: Send, T: Send>(
     work: impl Fn(J) -> Result<T> + Sync,
     sink: impl FnMut(T) -> Result<()>,
 ) -> Result<()> {
-    let pool = pool(threads)?;
+    let threads = team::resolve_threads(threads);
+    let pool = team::pool(threads)?;
     let stop = AtomicBool::new(false);
     let (stop, work) = (&stop, &work);
     let (events, inbox) = mpsc::channel();
@@ -130,35 +99,76 @@ fn pass<J, T>(
     start: impl Fn(usize, J),
     mut sink: impl FnMut(T) -> Result<()>,
 ) -> Result<()> {
-    // The available results of the jobs from number `first` on.
-    let mut results: VecDeque<Option<Result<T>>> = VecDeque::new();
-    let (mut first, mut ended) = (0, false);
+    let mut results = InOrder::default();
+    let mut ended = false;
     while !ended || !results.is_empty() {
         match inbox.recv() {
-            Ok(Event::Job(Ok(job))) => {
-                start(first + results.len(), job);
-                results.push_back(None);
-            }
+            Ok(Event::Job(Ok(job))) => start(results.expect(), job),
             Ok(Event::Job(Err(error))) => {
                 ended = true;
-                results.push_back(Some(Err(error)));
+                let place = results.expect();
+                results.put(place, Err(error));
             }
-            Ok(Event::Done(place, result)) => {
-                if let Some(slot) = results.get_mut(place - first) {
-                    *slot = Some(result);
-                }
-            }
+            Ok(Event::Done(place, result)) => results.put(place, result),
             Ok(Event::End) | Err(_) => ended = true,
         }
-        while let Some(Some(_)) = results.front() {
-            if let Some(Some(result)) = results.pop_front() {
-                first += 1;
-                sink(result?)?;
-                let _ = permits.send(());
-            }
+        while let Some(result) = results.take() {
+            sink(result?)?;
+            let _ = permits.send(());
         }
     }
     Ok(())
+}
+
+/// The results of jobs, taken in the order of the jobs.
+struct InOrder<T> {
+    /// From the job with number `first` on; `None` until they arrive.
+    results: VecDeque<Option<Result<T>>>,
+    first: usize,
+}
+
+impl<T> Default for InOrder<T> {
+    fn default() -> Self {
+        InOrder { results: VecDeque::new(), first: 0 }
+    }
+}
+
+impl<T> InOrder<T> {
+    /// Number of results that have not been taken.
+    fn len(&self) -> usize {
+        self.results.len()
+    }
+
+    fn is_empty(&self) -> bool {
+        self.results.is_empty()
+    }
+
+    /// Makes room for the result of the next job. Returns the number of the job.
+    fn expect(&mut self) -> usize {
+        self.results.push_back(None);
+        self.first + self.results.len() - 1
+    }
+
+    fn put(&mut self, job: usize, result: Result<T>) {
+        if let Some(place) = self.results.get_mut(job - self.first) {
+            *place = Some(result);
+        }
+    }
+
+    /// Whether the next result in order is expected, but has not arrived.
+    fn waits(&self) -> bool {
+        matches!(self.results.front(), Some(None))
+    }
+
+    /// The next result in order, if it has arrived.
+    fn take(&mut self) -> Option<Result<T>> {
+        if self.waits() {
+            return None;
+        }
+        let result = self.results.pop_front()?;
+        self.first += 1;
+        result
+    }
 }
 
 /// Sends the result of a job, even if its worker panics (the scope propagates the panic).
@@ -192,26 +202,23 @@ pub(crate) struct Workers<T> {
     pool: Option<ThreadPool>,
     events: Sender<Event<(), T>>,
     inbox: Receiver<Event<(), T>>,
-    /// The available results of the jobs from number `first` on.
-    results: VecDeque<Option<Result<T>>>,
-    first: usize,
+    results: InOrder<T>,
     threads: usize,
     /// Set when results are no longer needed.
     stop: Arc<AtomicBool>,
 }
 
 impl<T: Send + 'static> Workers<T> {
-    /// A pool of `threads` threads; with 1, jobs are run on the caller's thread instead.
+    /// A pool of `threads` threads (0: one for each processor); with 1, jobs are run on the caller's thread instead.
     ///
     /// # Errors
     /// If they cannot be started.
     pub fn new(threads: usize) -> Result<Self> {
         // A panic of a worker is reported by its ticket.
-        let pool = (threads > 1).then(|| team::pool(threads).panic_handler(drop).build()).transpose();
-        let pool = pool.map_err(|e| no_threads(threads, &e))?;
+        let threads = team::resolve_threads(threads);
+        let pool = (threads > 1).then(|| team::pool_that_survives_panics(threads)).transpose()?;
         let (events, inbox) = mpsc::channel();
-        let (results, stop) = (VecDeque::new(), Arc::default());
-        Ok(Workers { pool, events, inbox, results, first: 0, threads, stop })
+        Ok(Workers { pool, events, inbox, results: InOrder::default(), threads, stop: Arc::default() })
     }
 
     /// Whether enough jobs are running, or done with their results not taken.
@@ -221,14 +228,13 @@ impl<T: Send + 'static> Workers<T> {
 
     /// Starts a job.
     pub fn start(&mut self, job: impl FnOnce() -> Result<T> + Send + 'static) {
+        let place = self.results.expect();
         let Some(pool) = &self.pool else {
-            self.results.push_back(Some(job()));
+            self.results.put(place, job());
             return;
         };
-        let place = self.first + self.results.len();
         let ticket = Ticket { events: self.events.clone(), place, is_done: false };
         let stop = Arc::clone(&self.stop);
-        self.results.push_back(None);
         pool.spawn_fifo(move || {
             if !stop.load(Ordering::Relaxed) {
                 ticket.done(team::job(job));
@@ -238,11 +244,11 @@ impl<T: Send + 'static> Workers<T> {
 
     /// The result of the oldest job, once it is done; `None` if there is no job.
     pub fn wait(&mut self) -> Option<Result<T>> {
-        while matches!(self.results.front(), Some(None)) {
+        while self.results.waits() {
             let Ok(event) = self.inbox.recv() else { break };
             self.accept(event);
         }
-        self.take()
+        self.results.take()
     }
 
     /// The result of the oldest job, if it is done.
@@ -250,23 +256,13 @@ impl<T: Send + 'static> Workers<T> {
         while let Ok(event) = self.inbox.try_recv() {
             self.accept(event);
         }
-        self.take()
+        self.results.take()
     }
 
     fn accept(&mut self, event: Event<(), T>) {
-        if let Event::Done(place, result) = event
-            && let Some(slot) = self.results.get_mut(place - self.first)
-        {
-            *slot = Some(result);
+        if let Event::Done(place, result) = event {
+            self.results.put(place, result);
         }
-    }
-
-    fn take(&mut self) -> Option<Result<T>> {
-        if matches!(self.results.front(), Some(Some(_))) {
-            self.first += 1;
-            return self.results.pop_front().flatten();
-        }
-        None
     }
 }
 

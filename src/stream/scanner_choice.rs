@@ -5,12 +5,12 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::input::FrameInput;
-use super::ordered::pool;
 use super::source::record_of;
 use crate::container::{ScannerId, ScannerRecord, Unit};
 use crate::frame::Positions;
-use crate::frame::settings::{Coder, EncoderConfig, ProjectionKind, resolve_threads};
+use crate::frame::settings::{Coder, EncoderConfig, ProjectionKind};
 use crate::ground::error::Result;
+use crate::ground::team::pool;
 use crate::scan::{PointCloud, ScanFile, sorted};
 use crate::scanner::motion::{self, by_time};
 use crate::scanner::{self, Scanner};
@@ -182,7 +182,7 @@ fn fitted(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>
     /// Number of frames.
     const SAMPLE_OF_MIXED: usize = 16;
     let few = config.sample_frames();
-    pool(resolve_threads(config.threads))?.install(|| {
+    pool(config.threads)?.install(|| {
         let (found, explains_all) = fit_all(sample(frames, few, config)?);
         if few >= frames.len().min(SAMPLE_OF_MIXED) {
             return Ok(found);

@@ -5,7 +5,7 @@ use std::io::BufReader;
 
 use super::fingerprint::fingerprint;
 use crate::container::{FrameHeader, Record, ScannerId, ScannerRecord, StreamReader};
-use crate::frame::settings::{EncoderConfig, resolve_threads};
+use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::encoded::{Encoded, FrameOfStream};
 use crate::stream::encoder::{SequenceCoder, groups_of};
@@ -129,5 +129,5 @@ fn compare_inputs(
         on_frame();
         Ok(())
     };
-    run_ordered(resolve_threads(config.threads), headers.iter().zip(frames).map(Ok), compare, Ok)
+    run_ordered(config.threads, headers.iter().zip(frames).map(Ok), compare, Ok)
 }
