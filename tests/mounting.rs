@@ -58,7 +58,7 @@ fn what_every_program_moved_is_reproduced_to_the_last_bit() {
         let (scanner, mounting) = fitted(file(&moved));
         let mounting = mounting.unwrap_or_else(|| panic!("{mover:?} is not found"));
         assert_eq!(mounting.order, order);
-        let exact = scanner.exact_share(&positions(&moved));
+        let exact = scanner.reproduced_share(&positions(&moved));
         assert!(exact > 0.98, "{mover:?}: {exact}");
         for axis in 0..3 {
             assert!((mounting.rows[axis][3] - METRES[axis]).abs() < 1e-6, "{mover:?}: {mounting:?}");
@@ -74,7 +74,7 @@ fn points_that_were_not_rounded_before_they_were_moved_are_reproduced_too() {
         let (scanner, mounting) = fitted(file(&scan));
         let mounting = mounting.unwrap_or_else(|| panic!("{degrees} degrees: not found"));
         assert_eq!(mounting.order, Order::DoubleUnrounded, "{degrees} degrees");
-        let exact = scanner.exact_share(&positions(&scan));
+        let exact = scanner.reproduced_share(&positions(&scan));
         assert!(exact > 0.98, "{degrees} degrees: {exact}");
         round_trip(&files(&[scan]), &EncoderConfig::default());
     }
@@ -100,7 +100,7 @@ fn a_scan_in_which_the_upper_lasers_see_nothing_shows_the_scanner() {
     let [low, part] = [low, part].map(|points| Mover::NumPyDouble.moved(&points, DEGREES, METRES));
     let scanner = Scanner::fit(&[file(&part), file(&low)]).expect("a scanner is found");
     for points in [low, part] {
-        let exact = scanner.firings().expect("a scanner of firings").exact_share(&positions(&points));
+        let exact = scanner.firings().expect("a scanner of firings").reproduced_share(&positions(&points));
         assert!(exact > 0.98, "{exact}");
     }
 }
@@ -112,7 +112,7 @@ fn upside_down_and_quarters_of_a_turn_are_found() {
     for (degrees, metres) in turns.into_iter().flat_map(|turn| [(turn, [0.0; 3]), (turn, [0.0, 0.0, 1.8])]) {
         let moved = Mover::NumPyDouble.moved(scan, degrees, metres);
         let (scanner, _) = fitted(file(&moved));
-        let exact = scanner.exact_share(&positions(&moved));
+        let exact = scanner.reproduced_share(&positions(&moved));
         assert!(exact > 0.98, "{degrees:?} {metres:?}: {exact}");
     }
 }
@@ -130,7 +130,7 @@ fn lasers_with_azimuth_offsets_are_found_row_by_row_or_by_a_channel() {
     for (scan, points) in [(file(&moved(&by_rows)), &by_rows), (with_channel, &by_firings)] {
         let (found, mounting) = fitted(scan);
         assert_eq!(mounting.expect("a mounting").order, Order::SingleShiftFirst);
-        let exact = found.exact_share(&positions(&moved(points)));
+        let exact = found.reproduced_share(&positions(&moved(points)));
         assert!(exact > 0.98, "{exact}");
     }
 }
@@ -142,7 +142,7 @@ fn offsets_of_several_ticks_by_a_recipe_in_single_precision_are_found() {
     let moved = Mover::Pcl.moved(&points(&scanner, &image), DEGREES, METRES);
     let rows: Vec<u16> = scanner.file_order(&image).iter().map(|found| found.row as u16).collect();
     let (found, _) = fitted(parse("0.pcd", pcd_stamped(&moved, &rows, &vec![0.0; moved.len()])));
-    let exact = found.exact_share(&positions(&moved));
+    let exact = found.reproduced_share(&positions(&moved));
     assert!(exact > 0.98, "{exact}");
 }
 
@@ -178,7 +178,7 @@ fn is_found(lasers: &[[f64; 2]]) {
     let scan = file(&moved);
     let scanner = Scanner::fit(std::slice::from_ref(&scan)).expect("a scanner is found");
     assert!(scanner.firings().is_some_and(|found| found.build().mounting.is_some()), "without a mounting");
-    let share = scanner.share(&scan.cloud);
+    let share = scanner.explained_share(&scan.cloud);
     assert!(share > 0.99, "{share}");
 }
 

@@ -23,7 +23,7 @@ use crate::stream::source::GroupJob;
 pub(crate) fn recode_from(start: u64, job: &mut GroupJob, limits: &Limits) -> Result<()> {
     let frames = std::mem::take(&mut job.group.frames);
     let recoder = |scanner| Recoder { scanner, limits, old: Models::default(), new: Models::default() };
-    let mut tracks: Vec<_> = job.models()?.into_iter().map(recoder).collect();
+    let mut tracks: Vec<_> = job.known_scanners()?.into_iter().map(recoder).collect();
     let mut recoded = Vec::new();
     for (number, frame) in (job.first_frame..).zip(frames) {
         let name = frame.header.name.clone();

@@ -187,7 +187,8 @@ impl FrameParts {
         config: &EncoderConfig,
     ) -> PointCloud {
         let firings = scanner.and_then(Scanner::firings);
-        if !config.undoes_compensation() || firings.is_some_and(|firings| firings.explains(&cloud.positions))
+        if !config.undoes_compensation()
+            || firings.is_some_and(|firings| firings.reproduces_most(&cloud.positions))
         {
             return cloud;
         }

@@ -75,20 +75,20 @@ impl Scanner {
         // If `firings` explains the scans, they are in firing order, which no other family has.
         let found = firings::fit(sample).map(|(scanner, _)| scanner);
         let largest = largest.map_or(&[][..], |scan| &scan.cloud.positions);
-        let exact = found.as_ref().map_or(0.0, |scanner| scanner.exact_share(largest));
-        if let Some(found) = found.as_ref().filter(|scanner| scanner.explains(largest)) {
+        let exact = found.as_ref().map_or(0.0, |scanner| scanner.reproduced_share(largest));
+        if let Some(found) = found.as_ref().filter(|scanner| scanner.reproduces_most(largest)) {
             return Some(Scanner::Firings(found.clone()));
         }
         // Half of what is missed must be worth a motion.
         let is_better =
-            |scanner: &Firings| found.is_none() || scanner.exact_share(largest) > 0.5 * (1.0 + exact);
+            |scanner: &Firings| found.is_none() || scanner.reproduced_share(largest) > 0.5 * (1.0 + exact);
         let moved = by_time::fit(sample, found.as_ref());
         let mounted = || firings::fit_mounted(sample).map(|(scanner, _)| scanner).filter(is_better);
         moved.or_else(mounted).or(found).map(Scanner::Firings).or_else(beams)
     }
 
     /// The share of a scan's points that are in its range image; of many points by an HDL-64E, of those in the middle.
-    pub fn share(&self, cloud: &PointCloud) -> f64 {
+    pub fn explained_share(&self, cloud: &PointCloud) -> f64 {
         /// A sufficient number of points: at least ten beams.
         const MANY: usize = 25_000;
         let positions = &cloud.positions;

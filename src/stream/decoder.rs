@@ -119,7 +119,7 @@ pub(crate) fn decode_group<T>(
     mut work: impl FnMut(DecodedFrame) -> Result<T>,
 ) -> Result<Vec<T>> {
     let range = &options.frames;
-    let coder = GroupDecoder::new(job.models()?, &options.limits);
+    let coder = GroupDecoder::new(job.known_scanners()?, &options.limits);
     let mut coder = coder.keeping_images(options.images);
     let mut results = Vec::new();
     for (number, frame) in (job.first_frame..).zip(&job.group.frames) {
@@ -167,7 +167,7 @@ impl PartlyDecodedGroup {
     /// # Errors
     /// If one of its scanners is of a family that this program does not know.
     pub fn new(job: GroupJob, limits: &Limits, images: bool) -> Result<Self> {
-        let scanners = job.models()?.into_iter().map(Option::<&Scanner>::cloned);
+        let scanners = job.known_scanners()?.into_iter().map(Option::<&Scanner>::cloned);
         let coder = GroupDecoder::new(scanners, limits).keeping_images(images);
         Ok(PartlyDecodedGroup { next: job.first_frame, coder, coded: job.group.frames.into() })
     }

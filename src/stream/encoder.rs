@@ -178,11 +178,11 @@ impl<'s> GroupInProgress<'s> {
         let scanners = sequence.scanners.get(drive);
         let scanners = scanners.ok_or_else(|| Error::Internal(format!("no scanners for drive {drive}")))?;
         let group = Group { scanners: scanners.ids.clone(), frames: Vec::new() };
-        let models: Vec<_> = scanners.models.iter().map(Option::as_ref).collect();
+        let of_tracks: Vec<_> = scanners.scanners.iter().map(Option::as_ref).collect();
         Ok(GroupInProgress {
             scanners,
             config: sequence.config,
-            coder: GroupEncoder::new(&models, sequence.config),
+            coder: GroupEncoder::new(&of_tracks, sequence.config),
             encoded: EncodedGroup { group, stages: Vec::new(), originals: Vec::new(), file_bytes: 0 },
         })
     }

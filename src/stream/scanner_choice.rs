@@ -7,8 +7,8 @@ use rayon::prelude::*;
 use super::input::FrameInput;
 use super::source::record_of;
 use crate::container::{ScannerId, ScannerRecord, Unit};
-use crate::frame::Positions;
-use crate::frame::settings::{Coder, EncoderConfig, ProjectionKind};
+use crate::files::HeaderlessLayout;
+use crate::frame::settings::{EncoderConfig, ProjectionKind};
 use crate::ground::error::Result;
 use crate::ground::team::pool;
 use crate::scan::{PointCloud, ScanFile, sorted};
@@ -21,7 +21,7 @@ const SAMPLE_FILE_BYTES: u64 = 64 << 20;
 /// The scanners of a drive.
 pub struct DriveScanners {
     /// The scanner of each track, if one fits.
-    pub models: Vec<Option<Scanner>>,
+    pub scanners: Vec<Option<Scanner>>,
     /// The references to these scanners in groups.
     pub ids: Vec<Option<ScannerId>>,
     /// The records to be written, each once.
@@ -32,18 +32,18 @@ pub struct DriveScanners {
 
 impl DriveScanners {
     /// The scanners of a drive, one for each track.
-    pub fn new(models: Vec<Option<Scanner>>) -> Self {
+    pub fn new(scanners: Vec<Option<Scanner>>) -> Self {
         let mut records = Vec::new();
-        let mut name = |model: &Option<Scanner>| {
-            let record = record_of(model.as_ref()?);
+        let mut name = |scanner: &Option<Scanner>| {
+            let record = record_of(scanner.as_ref()?);
             let id = record.id();
             if !records.contains(&record) {
                 records.push(record);
             }
             Some(id)
         };
-        let ids = models.iter().map(&mut name).collect();
-        DriveScanners { models, ids, records, are_mixed: false }
+        let ids = scanners.iter().map(&mut name).collect();
+        DriveScanners { scanners, ids, records, are_mixed: false }
     }
 }
 
@@ -89,7 +89,7 @@ impl KeptScanners {
         self.tries += 1;
         let frame = frame();
         let scanners = Arc::new(scanners_of_drive(frame.as_slice(), config)?);
-        if scanners.models.iter().any(Option::is_some) {
+        if scanners.scanners.iter().any(Option::is_some) {
             self.tries = MOST_TRIES;
         }
         self.kept = Some(Arc::clone(&scanners));
@@ -110,17 +110,17 @@ pub(crate) fn records_of(scanners: &[DriveScanners]) -> Vec<ScannerRecord> {
 
 fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<DriveScanners> {
     let last = frames.iter().map(|frame| frame.stamp().track).max().unwrap_or(0);
-    let mut models = Vec::new();
+    let mut scanners = Vec::new();
     for track in 0..=last {
         let frames: Vec<_> = frames.iter().filter(|frame| frame.stamp().track == track).collect();
-        let mut of_track = choose_models(&frames, config)?.into_iter();
-        models.push(of_track.next());
+        let mut of_track = scanners_of_track(&frames, config)?.into_iter();
+        scanners.push(of_track.next());
         if last == 0 {
-            models.extend(of_track.map(Some));
+            scanners.extend(of_track.map(Some));
         }
     }
-    let are_mixed = last == 0 && models.len() > 1;
-    Ok(DriveScanners { are_mixed, ..DriveScanners::new(models) })
+    let are_mixed = last == 0 && scanners.len() > 1;
+    Ok(DriveScanners { are_mixed, ..DriveScanners::new(scanners) })
 }
 
 impl DriveScanners {
@@ -132,7 +132,7 @@ impl DriveScanners {
         }
         match self.track_by_points(own, &scan.cloud) {
             (track, explained) if explained >= LEAST_SHARE => track,
-            _ => self.track_by_points(own, &as_measured(scan.cloud.clone(), config)).0,
+            _ => self.track_by_points(own, &as_measured(scan.cloud.clone(), config.undoes_compensation())).0,
         }
     }
 
@@ -140,21 +140,22 @@ impl DriveScanners {
     fn track_by_points(&self, own: u8, cloud: &PointCloud) -> (u8, f64) {
         // Both, as units of the same model see about the same, but only one of them to the last bit.
         let explained = |scanner: &Scanner| {
-            scanner.share(cloud) + scanner.firings().map_or(0.0, |own| own.exact_share(&cloud.positions))
+            scanner.explained_share(cloud)
+                + scanner.firings().map_or(0.0, |own| own.reproduced_share(&cloud.positions))
         };
         let of = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, explained);
-        let tracks = (0u8..).zip(&self.models).map(|(track, scanner)| (track, of(scanner)));
+        let tracks = (0u8..).zip(&self.scanners).map(|(track, scanner)| (track, of(scanner)));
         // The first one wins ties.
         tracks.fold((own, 0.0), |best, next| if next.1 > best.1 { next } else { best })
     }
 }
 
-/// The scanner models for a track with these frames: more than one if the first does not explain the whole sample.
-fn choose_models(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
+/// The scanners of a track with these frames: more than one if the first does not explain the whole sample.
+fn scanners_of_track(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
     Ok(match config.projection {
         ProjectionKind::Calibrated { range_step_um } => {
             let in_steps = |scanner| range_step_um.into_iter().fold(scanner, Scanner::with_range_step);
-            fitted(frames, config)?.into_iter().map(in_steps).collect()
+            fitted(frames, Sampling::of(config))?.into_iter().map(in_steps).collect()
         }
         ProjectionKind::Ideal { columns, range_step_um } => {
             let seen = scanner_seen(frames, config)?;
@@ -169,68 +170,114 @@ fn choose_models(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<S
 /// # Errors
 /// If a file cannot be read.
 pub(crate) fn scanner_seen(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Option<Scanner>> {
-    let found = fitted(frames, config)?.into_iter().next();
-    if found.is_some() || config.undoes_compensation() {
+    let sampling = Sampling::of(config);
+    let found = fitted(frames, sampling)?.into_iter().next();
+    if found.is_some() || sampling.undoes_compensation {
         return Ok(found);
     }
-    let measured = EncoderConfig { positions: Positions::Exact, coder: Coder::Context, ..config.clone() };
-    Ok(fitted(frames, &measured)?.into_iter().next())
+    let as_measured = Sampling { undoes_compensation: true, ..sampling };
+    Ok(fitted(frames, as_measured)?.into_iter().next())
+}
+
+/// How frames are read for the fit.
+#[derive(Clone, Copy)]
+struct Sampling<'a> {
+    headerless: Option<&'a HeaderlessLayout>,
+    /// Whether points are moved back to where they were measured.
+    undoes_compensation: bool,
+    /// Number of frames to begin with.
+    frames: usize,
+    threads: usize,
+}
+
+impl<'a> Sampling<'a> {
+    fn of(config: &'a EncoderConfig) -> Self {
+        Sampling {
+            headerless: config.headerless.as_ref(),
+            undoes_compensation: config.undoes_compensation(),
+            frames: config.sample_frames(),
+            threads: config.threads,
+        }
+    }
+
+    /// At most `most` frames, spread over the sequence, to which the scanner is fitted.
+    fn sample(self, frames: &[&FrameInput], most: usize) -> Result<Vec<ScanFile>> {
+        let places: Vec<usize> = sample_places(frames.len(), most).collect();
+        let scans = places.into_par_iter().map(|place| self.scan(frames[place])).collect::<Result<Vec<_>>>();
+        Ok(scans?.into_iter().flatten().collect())
+    }
+
+    /// A frame of the sample, as it was measured and in the order of arrival; `None` if it is too large.
+    fn scan(self, frame: &FrameInput) -> Result<Option<ScanFile>> {
+        if frame.size()? > SAMPLE_FILE_BYTES {
+            return Ok(None);
+        }
+        let scan = frame.clone().into_frame(self.headerless)?.scan;
+        Ok(Some(ScanFile { cloud: as_measured(scan.cloud, self.undoes_compensation), ..scan }))
+    }
 }
 
 /// The scanners fitted to a sample of these frames: to more of them if there are several scanners.
-fn fitted(frames: &[&FrameInput], config: &EncoderConfig) -> Result<Vec<Scanner>> {
+fn fitted(frames: &[&FrameInput], sampling: Sampling) -> Result<Vec<Scanner>> {
     /// Number of frames.
     const SAMPLE_OF_MIXED: usize = 16;
-    let few = config.sample_frames();
-    pool(config.threads)?.install(|| {
-        let (found, explains_all) = fit_all(sample(frames, few, config)?);
-        if few >= frames.len().min(SAMPLE_OF_MIXED) {
+    pool(sampling.threads)?.install(|| {
+        let (found, explain_all) = fit_all(sampling.sample(frames, sampling.frames)?);
+        if sampling.frames >= frames.len().min(SAMPLE_OF_MIXED) {
             return Ok(found);
         }
-        // Frames of two scanners in turn are told by neighbours. The first frame is in the sample.
-        let is_mixed = match &found[..] {
+        let are_mixed = match &found[..] {
             [] => false,
-            [only] => {
-                let mut open = vec![scan_of(frames[1], config)?];
-                // A frame that is explained only tells whether it is so to the last bit.
-                let first =
-                    if explains_all && only.firings().is_none() { None } else { scan_of(frames[0], config)? };
-                let is_exact = explains_any(only, first.iter().chain(open.iter().flatten()));
-                if !explains_all {
-                    open.push(first);
-                }
-                open.iter().flatten().any(|scan| !explains(only, scan, is_exact))
-            }
+            [only] => take_turns(only, explain_all, frames, sampling)?,
             _ => true,
         };
-        if is_mixed { Ok(fit_all(sample(frames, SAMPLE_OF_MIXED, config)?).0) } else { Ok(found) }
+        if are_mixed { Ok(fit_all(sampling.sample(frames, SAMPLE_OF_MIXED)?).0) } else { Ok(found) }
     })
+}
+
+/// Whether the first two of these frames are of different scanners: if two scanners take turns, a sample that is spread
+/// evenly may have caught frames of one alone. `only` is the scanner found in the sample, of which the first frame is part;
+/// `explains_all`: it explains the whole sample.
+fn take_turns(
+    only: &Scanner,
+    explains_all: bool,
+    frames: &[&FrameInput],
+    sampling: Sampling,
+) -> Result<bool> {
+    let second = sampling.scan(frames[1])?;
+    // If it explains the first frame, this one only tells whether it does so to the last bit.
+    let needs_first = !explains_all || only.firings().is_some();
+    let first = if needs_first { sampling.scan(frames[0])? } else { None };
+    let reproduces = reproduces_any(only, first.iter().chain(&second));
+    let unknown = if explains_all { None } else { first.as_ref() };
+    Ok(second.iter().chain(unknown).any(|scan| !is_scan_of(only, scan, reproduces)))
 }
 
 /// Minimum share of a scan that its own scanner explains.
 const LEAST_SHARE: f64 = 0.5;
 
-/// The scans that this scanner, which was fitted to some of them, does not explain.
-fn unexplained(scanner: &Scanner, mut scans: Vec<ScanFile>) -> Vec<ScanFile> {
-    let is_exact = explains_any(scanner, &scans);
-    scans.retain(|scan| !explains(scanner, scan, is_exact));
+/// The scans of a sample that are not of this scanner, which was fitted to some of them.
+fn without_scans_of(scanner: &Scanner, mut scans: Vec<ScanFile>) -> Vec<ScanFile> {
+    let reproduces = reproduces_any(scanner, &scans);
+    scans.retain(|scan| !is_scan_of(scanner, scan, reproduces));
     scans
 }
 
-/// Whether this scanner explains one of these scans to the last bit.
-fn explains_any<'s>(scanner: &Scanner, scans: impl IntoIterator<Item = &'s ScanFile>) -> bool {
+/// Whether this scanner reproduces most of one of these scans to the last bit.
+fn reproduces_any<'s>(scanner: &Scanner, scans: impl IntoIterator<Item = &'s ScanFile>) -> bool {
     let own = scanner.firings();
-    own.is_some_and(|own| scans.into_iter().any(|scan| own.explains(&scan.cloud.positions)))
+    own.is_some_and(|own| scans.into_iter().any(|scan| own.reproduces_most(&scan.cloud.positions)))
 }
 
-/// Whether a scan is of this scanner; `is_exact`: it explains others of the folder to the last bit.
-fn explains(scanner: &Scanner, scan: &ScanFile, is_exact: bool) -> bool {
+/// Whether a scan is of this scanner. `reproduces`: it reproduces others of the folder to the last bit.
+fn is_scan_of(scanner: &Scanner, scan: &ScanFile, reproduces: bool) -> bool {
     let own = scanner.firings();
     // Units of the same model see about the same, but only one of them to the last bit.
-    let exact = own.filter(|_| is_exact).map_or(1.0, |own| own.exact_share(&scan.cloud.positions));
+    let reproduced =
+        own.filter(|_| reproduces).map_or(1.0, |own| own.reproduced_share(&scan.cloud.positions));
     // A scan that was moved by time stamps can be attributed to this scanner only after it is moved back.
     let is_moved = || own.is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
-    let is_seen = || exact.min(scanner.share(&scan.cloud)) >= LEAST_SHARE;
+    let is_seen = || reproduced.min(scanner.explained_share(&scan.cloud)) >= LEAST_SHARE;
     scan.cloud.positions.is_empty() || is_seen() || is_moved()
 }
 
@@ -246,7 +293,7 @@ fn fit_all(mut sample: Vec<ScanFile>) -> (Vec<Scanner>, bool) {
         let before = sample.len();
         let scanner = Scanner::fit(&sample);
         if let Some(scanner) = scanner {
-            sample = unexplained(&scanner, sample);
+            sample = without_scans_of(&scanner, sample);
             found.push(scanner);
         }
         if sample.len() == before {
@@ -259,27 +306,10 @@ fn fit_all(mut sample: Vec<ScanFile>) -> (Vec<Scanner>, bool) {
     (found, failures == 0 && sample.is_empty())
 }
 
-/// At most `most` frames, spread over the sequence, to which the scanner is fitted.
-fn sample(frames: &[&FrameInput], most: usize, config: &EncoderConfig) -> Result<Vec<ScanFile>> {
-    let places: Vec<usize> = sample_places(frames.len(), most).collect();
-    let scans =
-        places.into_par_iter().map(|place| scan_of(frames[place], config)).collect::<Result<Vec<_>>>();
-    Ok(scans?.into_iter().flatten().collect())
-}
-
-/// A frame of the sample, as it was measured and in the order of arrival; `None` if it is too large.
-fn scan_of(frame: &FrameInput, config: &EncoderConfig) -> Result<Option<ScanFile>> {
-    if frame.size()? > SAMPLE_FILE_BYTES {
-        return Ok(None);
-    }
-    let scan = frame.clone().into_frame(config.headerless.as_ref())?.scan;
-    Ok(Some(ScanFile { cloud: as_measured(scan.cloud, config), ..scan }))
-}
-
-/// Points as they were measured and in the order of arrival.
-fn as_measured(cloud: PointCloud, config: &EncoderConfig) -> PointCloud {
+/// Points in the order of arrival and, if wanted, as they were measured.
+fn as_measured(cloud: PointCloud, undoes_compensation: bool) -> PointCloud {
     let mut cloud = sorted::in_order_of_arrival(&cloud).map_or(cloud, |(_, cloud)| cloud);
-    let undone = config.undoes_compensation().then(|| motion::measured(&cloud.positions));
+    let undone = undoes_compensation.then(|| motion::measured(&cloud.positions));
     if let Some(positions) = undone.flatten() {
         cloud.positions = positions;
     }

@@ -21,44 +21,44 @@ pub struct GroupJob {
 }
 
 impl GroupJob {
-    /// The models of the scanners.
+    /// The scanner of each track, if it has one.
     ///
     /// # Errors
     /// If one is of a family that this program does not know.
-    pub fn models(&self) -> Result<Vec<Option<&Scanner>>> {
-        let models = self.scanners.iter();
-        models.map(|scanner| scanner.as_deref().map(StoredScanner::model).transpose()).collect()
+    pub fn known_scanners(&self) -> Result<Vec<Option<&Scanner>>> {
+        let stored = self.scanners.iter();
+        stored.map(|stored| stored.as_deref().map(StoredScanner::known).transpose()).collect()
     }
 }
 
 /// A scanner, and its record.
 pub struct StoredScanner {
     /// None if the family is unknown. Groups with such a scanner can still be copied.
-    model: Option<Scanner>,
+    scanner: Option<Scanner>,
     pub record: ScannerRecord,
 }
 
 impl StoredScanner {
     pub(crate) fn parse(record: ScannerRecord) -> Result<Arc<Self>> {
-        let model = Scanner::of_record(record.family, &record.payload).map_err(|e| e.within("scanner"))?;
-        Ok(Arc::new(StoredScanner { model, record }))
+        let scanner = Scanner::of_record(record.family, &record.payload).map_err(|e| e.within("scanner"))?;
+        Ok(Arc::new(StoredScanner { scanner, record }))
     }
 
     /// A description of the scanner, in words.
     pub fn description(&self) -> String {
         let unknown = || format!("of family {}", self.record.family);
-        self.model.as_ref().map_or_else(unknown, ToString::to_string)
+        self.scanner.as_ref().map_or_else(unknown, ToString::to_string)
     }
 
-    fn model(&self) -> Result<&Scanner> {
+    fn known(&self) -> Result<&Scanner> {
         let unknown = || Error::unsupported(format!("a scanner of unknown family {}", self.record.family));
-        self.model.as_ref().ok_or_else(unknown)
+        self.scanner.as_ref().ok_or_else(unknown)
     }
 }
 
 /// The record of a scanner.
-pub(crate) fn record_of(model: &Scanner) -> ScannerRecord {
-    ScannerRecord { family: model.family(), payload: model.to_payload() }
+pub(crate) fn record_of(scanner: &Scanner) -> ScannerRecord {
+    ScannerRecord { family: scanner.family(), payload: scanner.to_payload() }
 }
 
 /// The error about a group whose scanner is missing.

@@ -43,8 +43,8 @@ pub fn confirm_complete(
             on_frame()
         }
     })?;
-    let models = choose_scanners(frames, config)?;
-    if !records_of(&models).iter().map(ScannerRecord::id).eq(scanners) {
+    let of_drives = choose_scanners(frames, config)?;
+    if !records_of(&of_drives).iter().map(ScannerRecord::id).eq(scanners) {
         return Err(differs(OTHER_SETTINGS));
     }
     let sizes = groups_of(frames, config).map(|group| group.map(|group| group.len()));
@@ -56,7 +56,7 @@ pub fn confirm_complete(
             on_frame()
         }
     };
-    SequenceCoder::new(&models, config, &count).run(groups_of(frames, config).take(sample), |coded| {
+    SequenceCoder::new(&of_drives, config, &count).run(groups_of(frames, config).take(sample), |coded| {
         coded.iter().try_for_each(|coded| match known.next() {
             Some((_, known)) if *known == fingerprint([&coded.group]) => Ok(()),
             Some((size, _)) if *size != coded.group.frames.len() => {

@@ -139,21 +139,21 @@ impl Firings {
     ) -> Option<u32> {
         let grid = self.build.coordinates;
         let reach = reach + 0.5 * self.range_step_m() + blur.reach();
-        let given = |steps: i64| {
+        let tried_steps = |steps: i64| {
             let steps = u32::try_from(steps).ok().filter(|steps| (1..LONGEST).contains(steps))?;
             let formula = self.position(&Return { row: place.row, column: 0, tick, steps, echo: 0 }, 0.0);
             let is_near = (0..3).all(|axis| (formula[axis] - f64::from(position[axis])).abs() < reach);
             // At another tick, a zero may have another sign.
             let is_held = is_near && (0..3).all(|axis| grid.holds(position[axis], formula[axis]));
-            let given = || (0..3).filter(|&axis| grid.nearest(formula[axis]) == position[axis]).count();
-            is_held.then(|| (given(), steps))
+            let reproduced = || (0..3).filter(|&axis| grid.nearest(formula[axis]) == position[axis]).count();
+            is_held.then(|| (reproduced(), steps))
         };
         // The nearest first, which wins ties.
         let own = i64::from(place.steps);
         let most = i64::from(blur.steps(&self.build));
         let tried = std::iter::once(own).chain((1..=most).flat_map(|off| [own - off, own + off]));
         let better = |best: (usize, u32), next: (usize, u32)| if next.0 > best.0 { next } else { best };
-        tried.filter_map(given).reduce(better).map(|(_, steps)| steps)
+        tried.filter_map(tried_steps).reduce(better).map(|(_, steps)| steps)
     }
 
     /// Gives columns the ticks that agree with all of their places or, if there are several such ticks, the one that
@@ -187,7 +187,7 @@ impl Firings {
     pub(super) fn accuracy(&self, projection: &Projection, cloud: &PointCloud) -> f64 {
         let image = &projection.image;
         let span = |column: usize| Span::of(image.spans.get(column).copied().unwrap_or(0));
-        let (mut given, mut all) = (0u32, 0u32);
+        let (mut reproduced, mut all) = (0u32, 0u32);
         for row in 0..self.rows() {
             for (column, &base) in
                 image.columns.iter().enumerate().filter(|(column, _)| image.steps[(row, *column)] > 0)
@@ -195,10 +195,11 @@ impl Firings {
                 let (tick, steps) = (self.tick(row, base, span(column)), image.steps[(row, column)]);
                 let found = Return { row: row as u32, column: column as u32, tick, steps, echo: 0 };
                 let point = projection.point_of_cell[(row, column)];
-                given += u32::from(self.gives(&found, &cloud.positions[point as usize].map(f64::from), 0..3));
+                reproduced +=
+                    u32::from(self.reproduces(&found, &cloud.positions[point as usize].map(f64::from), 0..3));
                 all += 1;
             }
         }
-        f64::from(given) / f64::from(all.max(1))
+        f64::from(reproduced) / f64::from(all.max(1))
     }
 }

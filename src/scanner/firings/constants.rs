@@ -69,9 +69,9 @@ impl<'m> Point<'m> {
     }
 
     /// Whether a scanner's recipe reproduces the point's coordinates in the file to the last bit, along these axes.
-    fn is_given_by(&self, scanner: &Firings, found: &Return, axes: std::ops::Range<usize>) -> bool {
+    fn is_reproduced_by(&self, scanner: &Firings, found: &Return, axes: std::ops::Range<usize>) -> bool {
         let Some(Moved { by, position, .. }) = self.moved else {
-            return scanner.gives(found, &self.position, axes);
+            return scanner.reproduces(found, &self.position, axes);
         };
         let mut start = self.position;
         let formula = match by {
@@ -627,7 +627,7 @@ pub(super) fn exact_points(
     let scanner = any.of_laser(laser);
     let is_exact = |point: &Point| {
         let Some((steps, tick)) = scanner.locate(0, point.position) else { return false };
-        point.is_given_by(&scanner, &Return { row: 0, column: 0, tick, steps, echo: 0 }, axes.clone())
+        point.is_reproduced_by(&scanner, &Return { row: 0, column: 0, tick, steps, echo: 0 }, axes.clone())
     };
     let mut missed = 0;
     for point in points {

@@ -60,16 +60,16 @@ pub(super) fn fit_by(
     let mut seen = Cow::Borrowed(&sample.iter().max_by_key(|scan| scan.cloud.measured())?.cloud);
     let mut found = fit_scan(&seen)?;
     for _ in 0..MOST {
-        let located = |cloud: &PointCloud| found.0.located_share(&cloud.positions);
-        let less = LEAST_SHARE..located(&seen) - WORTH;
-        let shares = sample.iter().map(|scan| (located(&scan.cloud), &scan.cloud));
+        let explained = |cloud: &PointCloud| found.0.explained_share(&cloud.positions);
+        let less = LEAST_SHARE..explained(&seen) - WORTH;
+        let shares = sample.iter().map(|scan| (explained(&scan.cloud), &scan.cloud));
         let worst = shares.filter(|(share, _)| less.contains(share)).min_by(|a, b| a.0.total_cmp(&b.0));
         let more = worst.and_then(|(_, other)| joined(&seen, other, found.0.rows_of_lines.len()));
         let Some(more) = more else { break };
-        let explained = |(scanner, _): &(Firings, f64)| {
-            scanner.given(&more.positions).0 + scanner.located(&more.positions)
+        let worth = |(scanner, _): &(Firings, f64)| {
+            scanner.reproduced(&more.positions).0 + scanner.explained(&more.positions)
         };
-        match fit_scan(&more).filter(|of_more| explained(of_more) > explained(&found)) {
+        match fit_scan(&more).filter(|of_more| worth(of_more) > worth(&found)) {
             Some(of_more) => (found, seen) = (of_more, Cow::Owned(more)),
             None => break,
         }
@@ -133,8 +133,8 @@ fn fit_points<'m>(
     let Candidate { scanner, share, .. } = best.filter(|best| best.share >= LEAST_SHARE)?;
     // Decimal digits do not help a recipe that is wrong.
     let is_digits = matches!(coordinates, Coordinates::Digits(_));
-    let scanner = match is_digits.then(|| scanner.given(&cloud.positions)) {
-        Some((given, all)) if 2 * given <= all => {
+    let scanner = match is_digits.then(|| scanner.reproduced(&cloud.positions)) {
+        Some((reproduced, all)) if 2 * reproduced <= all => {
             let build = Build { coordinates: Coordinates::Float32, ..scanner.build };
             Firings::new(build, scanner.lasers, scanner.rows_of_slots)
                 .line_by_line(scanner.rows_of_lines)
@@ -225,10 +225,10 @@ impl Found<'_> {
             let numbers = Cow::Borrowed(&self.numbers[..]);
             let found = Found { cloud: self.cloud, numbers, points: points.into(), ..*self };
             let scanners = found.on_axis(origin)?;
-            let (given, all) = scanners.first()?.given(&self.cloud.positions);
-            (2 * given > all).then_some((given, scanners))
+            let (reproduced, all) = scanners.first()?.reproduced(&self.cloud.positions);
+            (2 * reproduced > all).then_some((reproduced, scanners))
         });
-        tried.max_by_key(|(given, _)| *given).map(|(_, scanners)| scanners)
+        tried.max_by_key(|(reproduced, _)| *reproduced).map(|(_, scanners)| scanners)
     }
 
     /// Scanners whose beams all start in one point and that may have measured the scan.
@@ -372,9 +372,9 @@ impl OnAxis<'_, '_> {
         let are_ticks = are_whole && order.shifts.iter().any(|shift| *shift != 0.0);
         let of_lags = are_ticks.then(|| self.scanner(order, &none, &order.shifts)).flatten();
         let positions = &self.found.cloud.positions;
-        let given = |(scanner, _): &(Firings, bool)| scanner.given(positions).0;
-        let of_lags =
-            of_lags.filter(|lags| of_offsets.as_ref().is_none_or(|other| given(lags) > given(other)));
+        let reproduced = |(scanner, _): &(Firings, bool)| scanner.reproduced(positions).0;
+        let of_lags = of_lags
+            .filter(|lags| of_offsets.as_ref().is_none_or(|other| reproduced(lags) > reproduced(other)));
         match (of_lags, of_offsets) {
             (Some((scanner, _)), _) => {
                 let starts = std::iter::once(&0).chain(&order.other_starts);

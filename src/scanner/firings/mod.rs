@@ -483,7 +483,7 @@ impl Firings {
     }
 
     /// Whether the recipe reproduces a position in the file to the last bit, along these axes.
-    fn gives(&self, found: &Return, position: &[f64; 3], axes: std::ops::Range<usize>) -> bool {
+    fn reproduces(&self, found: &Return, position: &[f64; 3], axes: std::ops::Range<usize>) -> bool {
         let grid = self.build.coordinates;
         let formula = self.position(found, 0.0);
         axes.into_iter().all(|axis| f64::from(grid.nearest(formula[axis])) == position[axis])

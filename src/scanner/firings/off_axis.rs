@@ -97,7 +97,7 @@ impl Found<'_> {
                 let is_exact = |place: &&Place| {
                     let found =
                         Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
-                    scanner.gives(&found, &sample[place.point as usize].map(f64::from), 0..3)
+                    scanner.reproduces(&found, &sample[place.point as usize].map(f64::from), 0..3)
                 };
                 let exact = places.iter().filter(is_exact).count();
                 Some((scanner, exact, places.len()))

@@ -168,13 +168,13 @@ pub(super) struct Column {
 impl Firings {
     /// Whether the recipe reproduces nearly all points of a sample to the last bit: then they have not been moved
     /// since they were measured.
-    pub fn explains(&self, positions: &[[f32; 3]]) -> bool {
+    pub fn reproduces_most(&self, positions: &[[f32; 3]]) -> bool {
         const LEAST: f64 = 0.9;
-        self.exact_share(positions) > LEAST
+        self.reproduced_share(positions) > LEAST
     }
 
     /// The share of a sample of the points that the recipe reproduces to the last bit.
-    pub fn exact_share(&self, positions: &[[f32; 3]]) -> f64 {
+    pub fn reproduced_share(&self, positions: &[[f32; 3]]) -> f64 {
         const SAMPLE: usize = 400;
         let sight = Sight::new(self);
         let blur = Blur::of(self.build.coordinates);
@@ -265,27 +265,27 @@ impl Firings {
     }
 
     /// How many points the recipe reproduces to the last bit, and how many it explains, of those whose ticks are certain.
-    pub(super) fn given(&self, positions: &[[f32; 3]]) -> (usize, usize) {
+    pub(super) fn reproduced(&self, positions: &[[f32; 3]]) -> (usize, usize) {
         let places = self.places(positions, REACH + 0.5 * self.range_step_m());
-        let is_given = |place: &&Place| {
+        let is_reproduced = |place: &&Place| {
             let found = Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
-            self.gives(&found, &positions[place.point as usize].map(f64::from), 0..3)
+            self.reproduces(&found, &positions[place.point as usize].map(f64::from), 0..3)
         };
         let clear = || places.iter().filter(|place| place.slack == 0);
-        (clear().filter(is_given).count(), clear().count())
+        (clear().filter(is_reproduced).count(), clear().count())
     }
 
-    /// How many of these points are near a return by the formula.
-    pub(super) fn located(&self, positions: &[[f32; 3]]) -> usize {
+    /// How many of these points the recipe explains.
+    pub(super) fn explained(&self, positions: &[[f32; 3]]) -> usize {
         self.places(positions, REACH + 0.5 * self.range_step_m()).len()
     }
 
-    /// The share of them among a sample of the points that have a direction.
-    pub(super) fn located_share(&self, positions: &[[f32; 3]]) -> f64 {
+    /// The share of the points that the recipe explains, in a sample of those that have a direction.
+    pub(super) fn explained_share(&self, positions: &[[f32; 3]]) -> f64 {
         const SAMPLE: usize = 4000;
         let points: Vec<[f32; 3]> = positions.iter().filter(|point| has_direction(point)).copied().collect();
         let sample: Vec<[f32; 3]> = thinned(&points, SAMPLE).copied().collect();
-        self.located(&sample) as f64 / sample.len().max(1) as f64
+        self.explained(&sample) as f64 / sample.len().max(1) as f64
     }
 
     /// The row and the column of a record, in a file in which every cell of an image of `width` columns is a

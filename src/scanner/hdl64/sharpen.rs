@@ -204,9 +204,9 @@ impl Azimuths {
         dispatch(Sides { beam, distances: &self.distances })
     }
 
-    /// The number of exact points if the beam is rotated sideways by these angles.
-    fn given(&self, beam: &SingleBeam, sides: &[f64]) -> usize {
-        dispatch(Given { beam, azimuths: self, sides })
+    /// The number of points that are reproduced if the beam is rotated sideways by these angles.
+    fn reproduced(&self, beam: &SingleBeam, sides: &[f64]) -> usize {
+        dispatch(Reproduced { beam, azimuths: self, sides })
     }
 }
 
@@ -280,18 +280,18 @@ impl NullaryFnOnce for Sides<'_> {
 }
 
 /// The arguments of [`Azimuths::given`], for a function compiled for several vector units.
-struct Given<'a> {
+struct Reproduced<'a> {
     beam: &'a SingleBeam,
     azimuths: &'a Azimuths,
     sides: &'a [f64],
 }
 
-impl NullaryFnOnce for Given<'_> {
+impl NullaryFnOnce for Reproduced<'_> {
     type Output = usize;
 
     #[inline(always)]
     fn call(self) -> usize {
-        let Given { beam, azimuths: Azimuths { ticks, lowest, highest, .. }, sides } = self;
+        let Reproduced { beam, azimuths: Azimuths { ticks, lowest, highest, .. }, sides } = self;
         let beam = *beam;
         let mut count = 0;
         for (((tick, side), lowest), highest) in ticks.iter().zip(sides).zip(lowest).zip(highest) {
@@ -411,12 +411,12 @@ fn turn(beam: &mut SingleBeam, azimuths: &Azimuths, [length, angle]: [f64; 2], r
     };
     let right = |side_offset: f64| {
         let beam = pivoted(side_offset);
-        azimuths.given(&beam, &azimuths.sides(&beam))
+        azimuths.reproduced(&beam, &azimuths.sides(&beam))
     };
     let (_, side_offset) = best_around(on_grid(beam.side_offset, length), length, reach, right);
     let sideways = pivoted(side_offset);
     let sides = azimuths.sides(&sideways);
-    let right = |azimuth_offset: f64| azimuths.given(&SingleBeam { azimuth_offset, ..sideways }, &sides);
+    let right = |azimuth_offset: f64| azimuths.reproduced(&SingleBeam { azimuth_offset, ..sideways }, &sides);
     let (right, azimuth_offset) = best_around(on_grid(sideways.azimuth_offset, angle), angle, reach, right);
     *beam = SingleBeam { azimuth_offset, ..sideways };
     right
@@ -444,14 +444,14 @@ fn count_from(beam: &SingleBeam, azimuths: &Azimuths) -> Vec<SingleBeam> {
     };
     let some = azimuths.some(SOME);
     let (some_sides, sides) = (some.sides(beam), azimuths.sides(beam));
-    let roughly = |tick: i64| (some.given(&counting_from(tick), &some_sides), tick);
+    let roughly = |tick: i64| (some.reproduced(&counting_from(tick), &some_sides), tick);
     // No scanner has beams with a larger sideways angle.
     let widest = i64::from(beam.ticks / 10);
     let mut ticks: Vec<(usize, i64)> = (-widest..=widest).map(roughly).collect();
     ticks.sort_unstable_by_key(|&(right, tick)| (Reverse(right), tick.abs()));
     let closely = |&(_, tick): &(usize, i64)| {
         let beam = counting_from(tick);
-        let right = |azimuth_offset: f64| azimuths.given(&SingleBeam { azimuth_offset, ..beam }, &sides);
+        let right = |azimuth_offset: f64| azimuths.reproduced(&SingleBeam { azimuth_offset, ..beam }, &sides);
         let (right, azimuth_offset) = best_around(beam.azimuth_offset, ANGLE_STEP, REACH, right);
         (right, SingleBeam { azimuth_offset, ..beam })
     };

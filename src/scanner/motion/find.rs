@@ -34,11 +34,12 @@ pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Turn)> {
     let points = many::measured(&Mover::new(&motion), positions);
     let motion = grid::sharpened(motion, &points, positions);
 
-    (motion.is_possible() && explains(&Mover::new(&motion), &points, positions))
+    (motion.is_possible() && reproduces_most(&Mover::new(&motion), &points, positions))
         .then_some((points, Turn { motion, misses: Vec::new() }))
 }
-/// Whether the formula reproduces nearly all points of a sample exactly.
-fn explains(mover: &Mover, points: &[[f32; 3]], positions: &[[f32; 3]]) -> bool {
+
+/// Whether the formula reproduces nearly all points of a sample to the last bit.
+fn reproduces_most(mover: &Mover, points: &[[f32; 3]], positions: &[[f32; 3]]) -> bool {
     const SAMPLE: usize = 2000;
     /// Of this many points, the formula may miss one; otherwise the scan is not changed.
     const FEWEST_TO_A_MISS: usize = 20;
