@@ -9,7 +9,7 @@ use crate::common::{File, encode_files, round_trip};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scan::ScanFile;
-use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Mounting, Order, Recipe};
+use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Mounting, Recipe, TransformOrder};
 use lidarpc::internals::scanner::{REACH, RangeImage, Scanner};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, drive};
 
@@ -48,11 +48,11 @@ fn files(scans: &[Points]) -> Vec<File> {
 fn what_every_program_moved_is_reproduced_to_the_last_bit() {
     let scan = &vlp_16(1, 1)[0];
     for (mover, order) in Mover::ALL.into_iter().zip([
-        Order::SingleShiftFirst,
-        Order::SingleShiftLast,
-        Order::SingleFused,
-        Order::Double,
-        Order::DoubleRoundedTwice,
+        TransformOrder::SingleShiftFirst,
+        TransformOrder::SingleShiftLast,
+        TransformOrder::SingleFused,
+        TransformOrder::Double,
+        TransformOrder::DoubleRoundedTwice,
     ]) {
         let moved = mover.moved(scan, DEGREES, METRES);
         let (scanner, mounting) = fitted(file(&moved));
@@ -73,7 +73,7 @@ fn points_that_were_not_rounded_before_they_were_moved_are_reproduced_too() {
         let scan = unrounded_hdl_32e(degrees, up, 1);
         let (scanner, mounting) = fitted(file(&scan));
         let mounting = mounting.unwrap_or_else(|| panic!("{degrees} degrees: not found"));
-        assert_eq!(mounting.order, Order::DoubleUnrounded, "{degrees} degrees");
+        assert_eq!(mounting.order, TransformOrder::DoubleUnrounded, "{degrees} degrees");
         let exact = scanner.reproduced_share(&positions(&scan));
         assert!(exact > 0.98, "{degrees} degrees: {exact}");
         round_trip(&files(&[scan]), &EncoderConfig::default());
@@ -129,7 +129,7 @@ fn lasers_with_azimuth_offsets_are_found_row_by_row_or_by_a_channel() {
     let with_channel = parse("0.pcd", pcd_stamped(&moved(&by_firings), &rows, &times));
     for (scan, points) in [(file(&moved(&by_rows)), &by_rows), (with_channel, &by_firings)] {
         let (found, mounting) = fitted(scan);
-        assert_eq!(mounting.expect("a mounting").order, Order::SingleShiftFirst);
+        assert_eq!(mounting.expect("a mounting").order, TransformOrder::SingleShiftFirst);
         let exact = found.reproduced_share(&positions(&moved(points)));
         assert!(exact > 0.98, "{exact}");
     }

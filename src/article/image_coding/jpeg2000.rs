@@ -9,7 +9,7 @@ mod library;
 
 use self::header::{END, Shape};
 use super::plane::Plane;
-use super::recurrent::{Pass, Turn};
+use super::recurrent::{Pass, PassKind};
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 
@@ -26,16 +26,16 @@ const RESOLUTIONS: u32 = 6;
 ///
 /// # Errors
 /// If the library fails.
-pub fn encode(plane: &Plane<'_>, turn: Turn, most_bytes: Option<usize>) -> Result<Option<Pass>> {
+pub fn encode(plane: &Plane<'_>, kind: PassKind, most_bytes: Option<usize>) -> Result<Option<Pass>> {
     let by_wavelet = || encode_values(&plane.interpolated(), middle(plane), RESOLUTIONS, most_bytes);
     let apart = || {
         let median = plane.median();
         encode_values(&plane.padded(median), median, 1, most_bytes)
     };
-    match (turn, most_bytes) {
-        (Turn::Early, _) => apart(),
-        (Turn::Last, Some(_)) => by_wavelet(),
-        (Turn::Last, None) => {
+    match (kind, most_bytes) {
+        (PassKind::Early, _) => apart(),
+        (PassKind::Last, Some(_)) => by_wavelet(),
+        (PassKind::Last, None) => {
             let passes = [apart()?, by_wavelet()?].into_iter().flatten();
             Ok(passes.min_by_key(|pass| pass.image.len()))
         }

@@ -23,7 +23,7 @@ pub struct Pass {
 
 /// Whether another pass follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Turn {
+pub enum PassKind {
     /// Another pass follows; this one may leave to it what suits it less.
     Early,
     /// No pass follows.
@@ -66,7 +66,7 @@ fn within(codec: ImageCodec, plane: Plane<'_>, passes: u8, mut bytes: usize) -> 
     }
     for number in 1..=passes {
         let room = bytes.saturating_sub(OVERHEAD);
-        if let Some(last) = codec.encode(&left, Turn::Last, Some(room))? {
+        if let Some(last) = codec.encode(&left, PassKind::Last, Some(room))? {
             let error = left.without(&last.decode(codec, left.size())?).energy();
             if error < least {
                 (least, best) = (error, [&early[..], &[last]].concat());
@@ -76,7 +76,7 @@ fn within(codec: ImageCodec, plane: Plane<'_>, passes: u8, mut bytes: usize) -> 
             break;
         }
         let share = (room as f64 * SHARE) as usize;
-        let Some(pass) = codec.encode(&left, Turn::Early, Some(share))? else { break };
+        let Some(pass) = codec.encode(&left, PassKind::Early, Some(share))? else { break };
         bytes = room.saturating_sub(pass.image.len());
         left = left.without(&pass.decode(codec, left.size())?);
         early.push(pass);
@@ -88,7 +88,8 @@ fn within(codec: ImageCodec, plane: Plane<'_>, passes: u8, mut bytes: usize) -> 
 fn lossless(codec: ImageCodec, mut left: Plane<'_>) -> Result<Vec<Pass>> {
     let mut passes = Vec::new();
     while left.energy() > 0.0 {
-        let pass = codec.encode(&left, Turn::Last, None)?.filter(|_| passes.len() < usize::from(MOST_PASSES));
+        let pass =
+            codec.encode(&left, PassKind::Last, None)?.filter(|_| passes.len() < usize::from(MOST_PASSES));
         let cannot =
             || Error::InvalidSettings(format!("{} cannot code these ranges without loss", codec.name()));
         let pass = pass.ok_or_else(cannot)?;
@@ -156,10 +157,10 @@ impl Pass {
 
 impl ImageCodec {
     /// Codes a plane in one pass; `None` if `most_bytes` cannot hold an image.
-    fn encode(self, plane: &Plane<'_>, turn: Turn, most_bytes: Option<usize>) -> Result<Option<Pass>> {
+    fn encode(self, plane: &Plane<'_>, kind: PassKind, most_bytes: Option<usize>) -> Result<Option<Pass>> {
         match self {
             ImageCodec::Jpeg => jpeg::encode(plane, most_bytes),
-            ImageCodec::Jpeg2000 => jpeg2000::encode(plane, turn, most_bytes),
+            ImageCodec::Jpeg2000 => jpeg2000::encode(plane, kind, most_bytes),
         }
     }
 

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::blur::Blur;
 use super::constants::{Constants, Determined, Moved, Point, TRIED, by_rows, near_axes};
-use super::order::{Order, STEADY, VLP_16, lines, order, timed, vlp_16};
+use super::order::{FiringOrder, STEADY, VLP_16, lines, order, timed, vlp_16};
 use super::projection::{nearest, without_echoes};
 use super::{Build, Firings, Origin, Recipe, Timing};
 use crate::ground::rounding::round_ties_even;
@@ -259,7 +259,7 @@ impl Found<'_> {
         let own = own.map(|own| match &known {
             Some(known) => {
                 let is_steady = own.is_steady && own.shifts == known.shifts;
-                Order { shifts: known.shifts.clone(), is_steady, ..own }
+                FiringOrder { shifts: known.shifts.clone(), is_steady, ..own }
             }
             None => own,
         });
@@ -312,14 +312,14 @@ impl Found<'_> {
         mut sequence: Vec<(usize, u32)>,
         rows: usize,
         ticks: u32,
-    ) -> (Option<Order>, Vec<u32>) {
+    ) -> (Option<FiringOrder>, Vec<u32>) {
         // Echoes say nothing about the order.
         sequence.dedup();
         if let Some(order) = order(&sequence, rows, ticks, self.slack(ticks)) {
             return (Some(order), Vec::new());
         }
         match lines(&sequence, rows, ticks) {
-            Some(lines) => (Some(Order::of_lines(&sequence, rows, ticks)), lines),
+            Some(lines) => (Some(FiringOrder::of_lines(&sequence, rows, ticks)), lines),
             None => (None, Vec::new()),
         }
     }
@@ -364,7 +364,7 @@ struct OnAxis<'f, 's> {
 
 impl OnAxis<'_, '_> {
     /// The scanners whose lasers fire in an order.
-    fn scanners(&mut self, order: &Order) -> Vec<Firings> {
+    fn scanners(&mut self, order: &FiringOrder) -> Vec<Firings> {
         let none = vec![0.0; self.constants.elevations.len()];
         let of_offsets = self.scanner(order, &order.shifts, &none);
         // Programs that know only whole ticks add a laser's ticks to those of the firing.
@@ -390,7 +390,7 @@ impl OnAxis<'_, '_> {
 
     /// The scanner whose lasers have these offsets and look ahead by these ticks, and whether each offset was corrected by
     /// whole ticks of its own.
-    fn scanner(&mut self, order: &Order, offsets: &[f64], ahead: &[f64]) -> Option<(Firings, bool)> {
+    fn scanner(&mut self, order: &FiringOrder, offsets: &[f64], ahead: &[f64]) -> Option<(Firings, bool)> {
         let OnAxis { constants, build, determined, .. } = self;
         if determined.iter().all(|(known, _)| known != offsets) {
             determined.push((offsets.to_vec(), constants.determine(build, offsets)));
@@ -550,7 +550,7 @@ impl RecordGrid {
     }
 
     /// The order of the lasers, and the ticks by which each is ahead of the one with the most returns.
-    fn order(&self, places: &[(usize, usize)], sequence: &[(usize, u32)], ticks: u32) -> Order {
+    fn order(&self, places: &[(usize, usize)], sequence: &[(usize, u32)], ticks: u32) -> FiringOrder {
         let rows = self.lines.len();
         let mut counts = vec![0u32; rows];
         places.iter().for_each(|(_, row)| counts[*row] += 1);
@@ -579,7 +579,13 @@ impl RecordGrid {
         let is_steady = same.into_iter().sum::<usize>() as f64 >= STEADY * all as f64;
         let shifts = if is_steady { shifts } else { vec![0.0; rows] };
         let other_starts = Vec::new();
-        Order { rows_of_slots: self.lines.clone(), other_starts, shifts, timing: Timing::Together, is_steady }
+        FiringOrder {
+            rows_of_slots: self.lines.clone(),
+            other_starts,
+            shifts,
+            timing: Timing::Together,
+            is_steady,
+        }
     }
 }
 

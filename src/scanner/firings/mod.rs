@@ -32,7 +32,7 @@ pub use columns::FiringColumnModel;
 pub use constants::Moved;
 pub(in crate::scanner) use constants::MovedBy;
 pub use fit::{fit, fit_moved};
-pub use mounting::{Mounting, Order, fit as fit_mounted};
+pub use mounting::{Mounting, TransformOrder, fit as fit_mounted};
 pub use projection::Sight;
 pub use recipe::{Origin, Recipe};
 pub use timing::Timing;
@@ -47,7 +47,7 @@ use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::{BeamConstants, Coordinates, Hdl64, RangeImage, Return};
-use recipe::{Arithmetic, MOST_LOCATED, Turn};
+use recipe::{Arithmetic, MOST_LOCATED, TurnTable};
 use timing::{Passed, Span};
 
 /// Degrees per unit of a laser's constants.
@@ -155,7 +155,7 @@ pub struct Firings {
     slots_of_rows: Vec<u32>,
     arithmetic: Vec<Arithmetic>,
     bearings: Vec<Bearing>,
-    turn: Arc<Turn>,
+    turn: Arc<TurnTable>,
     passed: Passed,
 }
 
@@ -174,7 +174,7 @@ impl Firings {
         let of_laser = |laser: &Laser| Arithmetic::new(build.recipe, laser, build.origin, build.ticks);
         let arithmetic = lasers.iter().map(of_laser).collect();
         let bearings = lasers.iter().map(|laser| Bearing::new(build.recipe, laser, build.origin)).collect();
-        let turn = Arc::new(Turn::new(build.recipe, build.ticks));
+        let turn = Arc::new(TurnTable::new(build.recipe, build.ticks));
         let (rows_of_lines, lags) = (Vec::new(), Vec::new());
         let passed = Passed::new(&build.timing, lasers.len());
         Firings {

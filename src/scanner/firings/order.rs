@@ -11,7 +11,7 @@ pub(super) const VLP_16: [i32; 16] = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 
 pub(super) const STEADY: f64 = 0.93;
 
 /// The order in which lasers fire.
-pub(super) struct Order {
+pub(super) struct FiringOrder {
     pub rows_of_slots: Vec<u32>,
     /// Other slots of this order at which a firing may begin, if the azimuth advances while its lasers fire.
     pub other_starts: Vec<usize>,
@@ -23,11 +23,11 @@ pub(super) struct Order {
     pub is_steady: bool,
 }
 
-impl Order {
+impl FiringOrder {
     /// The order of lasers if the file holds row after row and so does not show in which order they fire: only how
     /// far they look ahead of one another.
     pub fn of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Self {
-        Order {
+        FiringOrder {
             rows_of_slots: (0..rows as u32).collect(),
             other_starts: Vec::new(),
             shifts: shifts_of_lines(sequence, rows, ticks),
@@ -78,7 +78,7 @@ fn shifts_of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Vec<f6
 
 /// Determines the order of the lasers from rows and ticks in file order; each tick may be wrong by `slack`. `None` if the
 /// file is not in the order of firings.
-pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32, slack: u32) -> Option<Order> {
+pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32, slack: u32) -> Option<FiringOrder> {
     /// Pairs of lasers with fewer steps are ignored.
     const FEWEST: usize = 8;
     const OTHER_STARTS: usize = 2;
@@ -138,7 +138,7 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32, slack: u
         order.iter().zip(of_slots).for_each(|(&row, shift)| shifts[row] = shift as f64);
     }
     let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
-    Some(Order { rows_of_slots, other_starts, shifts, timing: Timing::Together, is_steady })
+    Some(FiringOrder { rows_of_slots, other_starts, shifts, timing: Timing::Together, is_steady })
 }
 
 /// The middle of the ascending steps that are densest within some ticks to either side, and their count.
@@ -234,14 +234,14 @@ fn shifts_of_slots(rows: usize, step: impl Fn(usize, usize) -> (i64, usize)) -> 
 }
 
 /// The order of a VLP-16, if these are its elevations.
-pub(super) fn vlp_16(elevations: &[f64]) -> Option<Order> {
+pub(super) fn vlp_16(elevations: &[f64]) -> Option<FiringOrder> {
     let row = |degrees: i32| {
         let row = nearest(elevations, f64::from(degrees).to_radians());
         ((elevations[row].to_degrees() - f64::from(degrees)).abs() < 0.1).then_some(row as u32)
     };
     let rows_of_slots: Option<Vec<u32>> = VLP_16.map(row).into_iter().collect();
     let is_all = elevations.len() == VLP_16.len();
-    let order = |rows_of_slots| Order {
+    let order = |rows_of_slots| FiringOrder {
         rows_of_slots,
         other_starts: Vec::new(),
         shifts: vec![0.0; VLP_16.len()],

@@ -1,6 +1,6 @@
 //! A scanner of firings as its record in the stream. FORMAT.md 3.3.
 
-use super::mounting::Order;
+use super::mounting::TransformOrder;
 use super::timing::{MOST_BLOCKS, WHOLE};
 use super::{Build, Firings, Laser, Mounting, Origin, Recipe, Timing};
 use crate::ground::error::{Error, Result};
@@ -123,7 +123,7 @@ fn read_mounting(bytes: &mut &[u8]) -> Result<Option<Mounting>> {
     if order == 0 {
         return Ok(None);
     }
-    let order = Order::of_number(order)
+    let order = TransformOrder::of_number(order)
         .ok_or_else(|| Error::unsupported(format!("scanner: unknown order of a mounting {order}")))?;
     let mut rows = [[0.0; 4]; 3];
     for number in rows.as_flattened_mut() {

@@ -275,7 +275,7 @@ impl Origin {
 
 /// What a recipe stores for every tick.
 #[derive(Debug)]
-pub(super) enum Turn {
+pub(super) enum TurnTable {
     /// Cosine and sine, rounded to float32.
     Tables(LazyTable<[f32; 2]>),
     /// The angle in radians.
@@ -285,47 +285,47 @@ pub(super) enum Turn {
     Degrees(f64, LazyTable<[f64; 2]>),
 }
 
-impl Turn {
+impl TurnTable {
     pub fn new(recipe: Recipe, ticks: u32) -> Self {
         let tick = 360.0 / f64::from(ticks);
         let degrees = move |t: u32| f64::from(t) / (f64::from(ticks) / 360.0);
         match recipe {
             Recipe::VelodyneRos | Recipe::VelodyneRosGlibc => {
                 let angle = move |t: u32| radians(f64::from(tick as f32 * t as f32)) as f32;
-                Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
+                TurnTable::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
             Recipe::NebulaVelodyne => {
                 let angle = move |t: u32| radians(tick * f64::from(t)) as f32;
-                Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
+                TurnTable::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
             Recipe::Apollo => {
                 let angle = move |t: u32| tick as f32 * (f64::from(t) * PI) as f32 / 180.0;
-                Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
+                TurnTable::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
             Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => {
                 let angle = move |t: u32| tick as f32 * t as f32 * DEGREE;
-                Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
+                TurnTable::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
             Recipe::Pandar64 => {
                 let quarter = ticks / 4;
                 let angle = move |t: u32| ((t + quarter) % ticks) as f32 * (tick * PI / 180.0) as f32;
-                Turn::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
+                TurnTable::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
-            Recipe::RoboSense => {
-                Turn::Tables(LazyTable::new(ticks, move |t| single_cos_sin(radians(f64::from(t) * tick))))
-            }
+            Recipe::RoboSense => TurnTable::Tables(LazyTable::new(ticks, move |t| {
+                single_cos_sin(radians(f64::from(t) * tick))
+            })),
             Recipe::RoboSenseEarly => {
-                Turn::Tables(LazyTable::new(ticks, move |t| single_cos_sin(early_radians(t, ticks))))
+                TurnTable::Tables(LazyTable::new(ticks, move |t| single_cos_sin(early_radians(t, ticks))))
             }
             Recipe::Nebula => {
-                Turn::Angles(LazyTable::new(ticks, move |t| (degrees(t) * (PI / 180.0)) as f32))
+                TurnTable::Angles(LazyTable::new(ticks, move |t| (degrees(t) * (PI / 180.0)) as f32))
             }
             _ => {
                 let radians = move |t: u32| match recipe {
                     Recipe::LsLidar => f64::from(t) * tick * LS_DEGREE,
                     _ => radians(f64::from(t) * tick),
                 };
-                Turn::Degrees(tick, LazyTable::new(ticks, move |t| cos_sin(radians(t))))
+                TurnTable::Degrees(tick, LazyTable::new(ticks, move |t| cos_sin(radians(t))))
             }
         }
     }
@@ -460,7 +460,7 @@ impl Arithmetic {
 
     /// The coordinates in the file of a range of whole steps.
     #[inline(always)]
-    pub fn position(&self, turn: &Turn, tick: u32, steps: u32, range_step_um: u32) -> [f32; 3] {
+    pub fn position(&self, turn: &TurnTable, tick: u32, steps: u32, range_step_um: u32) -> [f32; 3] {
         let step = f64::from(range_step_um) * 1e-6;
         let (single, double) = (steps as f32 * step as f32, f64::from(steps) * step);
         match self {
@@ -489,14 +489,14 @@ impl Arithmetic {
     #[inline(always)]
     pub fn positions<const N: usize>(
         lasers: &[&Self; N],
-        turn: &Turn,
+        turn: &TurnTable,
         ticks: [u32; N],
         steps: [u32; N],
         range_step_um: u32,
     ) -> [[f32; 3]; N] {
         let step = f64::from(range_step_um) * 1e-6;
         let together = match (lasers[0], turn) {
-            (Arithmetic::Single { is_turned: false, .. }, Turn::Tables(table)) => {
+            (Arithmetic::Single { is_turned: false, .. }, TurnTable::Tables(table)) => {
                 Some(Self::singles(lasers, table, ticks, lanes(|i| steps[i] as f32 * step as f32)))
             }
             (Arithmetic::Double { .. }, _) => Self::doubles_by_table(
@@ -516,7 +516,7 @@ impl Arithmetic {
     /// The same, not compiled for each vector unit.
     fn positions_one_by_one<const N: usize>(
         lasers: &[&Self; N],
-        turn: &Turn,
+        turn: &TurnTable,
         ticks: [u32; N],
         steps: [u32; N],
         range_step_um: u32,
@@ -525,7 +525,7 @@ impl Arithmetic {
     }
 
     /// The same in the precision in which they are computed, before they are rounded once.
-    pub fn unrounded(&self, turn: &Turn, tick: u32, steps: u32, range_step_um: u32) -> [f64; 3] {
+    pub fn unrounded(&self, turn: &TurnTable, tick: u32, steps: u32, range_step_um: u32) -> [f64; 3] {
         match self {
             Arithmetic::Double { .. } | Arithmetic::Ls { .. } => {
                 self.double(turn, tick, self.metres(steps, range_step_um))
@@ -539,7 +539,7 @@ impl Arithmetic {
     #[inline(always)]
     pub fn nearly_unrounded(
         &self,
-        turn: &Turn,
+        turn: &TurnTable,
         tick: u32,
         steps: u32,
         range_step_um: u32,
@@ -562,8 +562,8 @@ impl Arithmetic {
     /// The result of [`double`](Self::double), rounded to single precision, but from the cosine and the sine of the
     /// tick: in a fraction of the time. `None` in the rare cases in which the different errors might show.
     #[inline(always)]
-    fn double_by_table(&self, turn: &Turn, tick: u32, metres: f64) -> Option<[f32; 3]> {
-        let Turn::Degrees(_, table) = turn else { return None };
+    fn double_by_table(&self, turn: &TurnTable, tick: u32, metres: f64) -> Option<[f32; 3]> {
+        let TurnTable::Degrees(_, table) = turn else { return None };
         match self {
             Arithmetic::Double { .. } => Self::doubles_by_table(&[self], turn, [tick], [metres])
                 .map(|point| point.map(|[value]| value)),
@@ -586,7 +586,7 @@ impl Arithmetic {
     #[inline(always)]
     fn doubles_by_table<const N: usize>(
         lasers: &[&Self; N],
-        turn: &Turn,
+        turn: &TurnTable,
         ticks: [u32; N],
         metres: [f64; N],
     ) -> Option<[[f32; N]; 3]> {
@@ -600,11 +600,11 @@ impl Arithmetic {
     #[inline(always)]
     fn doubles_nearly<const N: usize>(
         lasers: &[&Self; N],
-        turn: &Turn,
+        turn: &TurnTable,
         ticks: [u32; N],
         metres: [f64; N],
     ) -> Option<([[f64; N]; 3], [f64; N])> {
-        let (Arithmetic::Double { axes, .. }, Turn::Degrees(_, table)) = (lasers[0], turn) else {
+        let (Arithmetic::Double { axes, .. }, TurnTable::Degrees(_, table)) = (lasers[0], turn) else {
             return None;
         };
         let of_lasers: [[[f64; 2]; 2]; N] = lanes(|i| match lasers[i] {
@@ -629,9 +629,11 @@ impl Arithmetic {
 
     /// The same for [`ouster`](Self::ouster).
     #[inline]
-    fn ouster_by_table(&self, turn: &Turn, tick: u32, millimetres: f64) -> Option<[f32; 3]> {
-        let (Arithmetic::Ouster { cos_v, sin_v, offsets, start, is_single, .. }, Turn::Degrees(_, table)) =
-            (self, turn)
+    fn ouster_by_table(&self, turn: &TurnTable, tick: u32, millimetres: f64) -> Option<[f32; 3]> {
+        let (
+            Arithmetic::Ouster { cos_v, sin_v, offsets, start, is_single, .. },
+            TurnTable::Degrees(_, table),
+        ) = (self, turn)
         else {
             return None;
         };
@@ -658,7 +660,7 @@ impl Arithmetic {
     }
 
     /// The coordinates by the recipes of Ouster.
-    fn ouster(&self, turn: &Turn, tick: u32, millimetres: f64) -> [f32; 3] {
+    fn ouster(&self, turn: &TurnTable, tick: u32, millimetres: f64) -> [f32; 3] {
         let is_single = matches!(self, Arithmetic::Ouster { is_single: true, .. });
         let [direction, start] = self.ray(turn, tick);
         [0, 1, 2].map(|axis| match is_single {
@@ -668,8 +670,8 @@ impl Arithmetic {
     }
 
     /// What a millimetre of range adds to a position, and the position at range 0, in metres.
-    fn ray(&self, turn: &Turn, tick: u32) -> [[f64; 3]; 2] {
-        let (Arithmetic::Ouster { cos_v, sin_v, offset, start, .. }, Turn::Degrees(degrees, _)) =
+    fn ray(&self, turn: &TurnTable, tick: u32) -> [[f64; 3]; 2] {
+        let (Arithmetic::Ouster { cos_v, sin_v, offset, start, .. }, TurnTable::Degrees(degrees, _)) =
             (self, turn)
         else {
             return [[0.0; 3]; 2];
@@ -680,7 +682,7 @@ impl Arithmetic {
     }
 
     /// The coordinates of any range, in metres.
-    pub fn position_at(&self, turn: &Turn, tick: u32, metres: f64) -> [f64; 3] {
+    pub fn position_at(&self, turn: &TurnTable, tick: u32, metres: f64) -> [f64; 3] {
         match self {
             Arithmetic::Double { .. } | Arithmetic::Ls { .. } => self.double(turn, tick, metres),
             Arithmetic::Ouster { .. } => {
@@ -693,8 +695,8 @@ impl Arithmetic {
     }
 
     /// The coordinates of the ONCE data set.
-    fn once(&self, turn: &Turn, tick: u32, metres: f64) -> [f32; 3] {
-        let (Arithmetic::Once { cos_v, sin_v, offset }, Turn::Degrees(degrees, _)) = (self, turn) else {
+    fn once(&self, turn: &TurnTable, tick: u32, metres: f64) -> [f32; 3] {
+        let (Arithmetic::Once { cos_v, sin_v, offset }, TurnTable::Degrees(degrees, _)) = (self, turn) else {
             return [0.0; 3];
         };
         let angle = radians(offset + f64::from(tick) / (1.0 / degrees)) as f32;
@@ -705,23 +707,23 @@ impl Arithmetic {
 
     /// The coordinates computed in single precision.
     #[inline(always)]
-    fn single(&self, turn: &Turn, tick: u32, metres: f32) -> [f32; 3] {
+    fn single(&self, turn: &TurnTable, tick: u32, metres: f32) -> [f32; 3] {
         match (self, turn) {
-            (Arithmetic::Single { .. }, Turn::Tables(table)) => {
+            (Arithmetic::Single { .. }, TurnTable::Tables(table)) => {
                 Self::singles(&[self], table, [tick], [metres]).map(|[value]| value)
             }
-            (Arithmetic::Tables { cos_v, sin_v, turned, along, up }, Turn::Tables(table)) => {
+            (Arithmetic::Tables { cos_v, sin_v, turned, along, up }, TurnTable::Tables(table)) => {
                 let [cos, sin] = *table.get((tick + turned) % table.len());
                 let [cos_t, sin_t] = *table.get(tick);
                 let flat = metres * cos_v;
                 [flat * cos + along * cos_t, -flat * sin - along * sin_t, metres * sin_v + up]
             }
-            (Arithmetic::Sum { cos_v, sin_v, offset }, Turn::Angles(angles)) => {
+            (Arithmetic::Sum { cos_v, sin_v, offset }, TurnTable::Angles(angles)) => {
                 let angle = *angles.get(tick) + offset;
                 let flat = metres * cos_v;
                 [flat * glibc::sinf(angle), flat * glibc::cosf(angle), metres * sin_v]
             }
-            (Arithmetic::Sum2023 { cos_v, sin_v, offset }, Turn::Degrees(degrees, _)) => {
+            (Arithmetic::Sum2023 { cos_v, sin_v, offset }, TurnTable::Degrees(degrees, _)) => {
                 let angle = radians(offset + f64::from(tick) / (1.0 / degrees)) as f32;
                 let flat = metres * cos_v;
                 [flat * glibc::sinf(angle), flat * glibc::cosf(angle), metres * sin_v]
@@ -771,8 +773,8 @@ impl Arithmetic {
     }
 
     /// The coordinates computed in double precision.
-    fn double(&self, turn: &Turn, tick: u32, metres: f64) -> [f64; 3] {
-        let Turn::Degrees(degrees, table) = turn else { return [0.0; 3] };
+    fn double(&self, turn: &TurnTable, tick: u32, metres: f64) -> [f64; 3] {
+        let TurnTable::Degrees(degrees, table) = turn else { return [0.0; 3] };
         match self {
             Arithmetic::Double { cos_v, sin_v, offset, axes, .. } => {
                 let angle = radians(f64::from(tick) * degrees + offset);
@@ -876,7 +878,7 @@ mod tests {
     use crate::ground::random::Rng;
 
     /// The formula as it is written, without tables of unrounded values.
-    fn written_out(arithmetic: &Arithmetic, turn: &Turn, tick: u32, steps: u32, um: u32) -> [f32; 3] {
+    fn written_out(arithmetic: &Arithmetic, turn: &TurnTable, tick: u32, steps: u32, um: u32) -> [f32; 3] {
         let step = f64::from(um) * 1e-6;
         let metres = match arithmetic {
             Arithmetic::Double { single_range: true, .. } => f64::from(steps as f32 * step as f32),
@@ -895,8 +897,10 @@ mod tests {
         for recipe in Recipe::ALL {
             for number in 0..40 {
                 let ticks = [36_000, 1024, 4000, 7][number % 4];
-                let turn = Turn::new(recipe, ticks);
-                if !matches!(turn, Turn::Degrees(..)) || matches!(recipe, Recipe::Nebula2023 | Recipe::Once) {
+                let turn = TurnTable::new(recipe, ticks);
+                if !matches!(turn, TurnTable::Degrees(..))
+                    || matches!(recipe, Recipe::Nebula2023 | Recipe::Once)
+                {
                     continue;
                 }
                 let mut angle = |most: usize| random.below(2 * most) as i64 - most as i64;
@@ -942,7 +946,7 @@ mod tests {
         const LASERS: usize = 8;
         let mut random = Rng::keyed(2, &[]);
         for recipe in Recipe::ALL {
-            let turn = Turn::new(recipe, 36_000);
+            let turn = TurnTable::new(recipe, 36_000);
             let origin = Origin { along_um: 20_000, up_um: 30_000 };
             // None, some or all of the lasers have an offset.
             for offsets in [0, 4, LASERS] {

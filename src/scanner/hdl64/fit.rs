@@ -238,7 +238,7 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
     let mut constants = start;
     let least_squares = |constants: &[f64; 5], count: usize, reach: f64| {
         let points: Vec<Point> = thinned(points, count).copied().collect();
-        System::of(&Formula::new(constants), &points, reach, 0.0)
+        System::of(&FitFormula::new(constants), &points, reach, 0.0)
     };
     // The first steps are large, so a few points are enough.
     for (count, reach) in
@@ -269,12 +269,12 @@ fn centre_in_roundings(constants: &mut [f64; 5], points: &[Point], whole: &Syste
     const NEAR_BORDER: f64 = 3e-5;
     /// How strongly the points inside their roundings hold the constants in place.
     const INERTIA: f64 = 0.003;
-    let largest_misses = Formula::new(constants).largest_misses(points);
+    let largest_misses = FitFormula::new(constants).largest_misses(points);
     let is_near_border = |largest: f64| largest > HALF_UNIT - NEAR_BORDER && largest < REACH;
     let near_border = points.iter().zip(largest_misses).filter(|(_, largest)| is_near_border(*largest));
     let points: Vec<Point> = near_border.map(|(point, _)| *point).collect();
     for _ in 0..ROUNDS {
-        let formula = Formula::new(constants);
+        let formula = FitFormula::new(constants);
         let is_beyond = |largest: f64| largest > HALF_UNIT && largest < REACH;
         let misses = formula.largest_misses(&points);
         let beyond = points.iter().zip(misses).filter(|(_, largest)| is_beyond(*largest));
@@ -298,7 +298,7 @@ struct System {
 impl System {
     /// The equations of the coordinates that the formula misses by more than `slack` metres, by which their errors count
     /// less, of the points that it misses by less than `reach` metres along all axes.
-    fn of(formula: &Formula, points: &[Point], reach: f64, slack: f64) -> Self {
+    fn of(formula: &FitFormula, points: &[Point], reach: f64, slack: f64) -> Self {
         dispatch(Equations { formula, points, reach, slack })
     }
 
@@ -313,7 +313,7 @@ impl System {
 
 /// The arguments of [`System::of`], for a function compiled for several vector units.
 struct Equations<'a> {
-    formula: &'a Formula,
+    formula: &'a FitFormula,
     points: &'a [Point],
     reach: f64,
     slack: f64,
@@ -402,7 +402,7 @@ impl Equations<'_> {
 }
 
 /// The formula with the constants (V, b, c, h, rot) of a beam.
-struct Formula {
+struct FitFormula {
     sin_v: f64,
     cos_v: f64,
     b: f64,
@@ -431,9 +431,9 @@ impl<const N: usize> Sites<N> {
     }
 }
 
-impl Formula {
+impl FitFormula {
     fn new(&[v, b, c, h, rot]: &[f64; 5]) -> Self {
-        Formula { sin_v: libm::sin(v), cos_v: libm::cos(v), b, c, h, rot }
+        FitFormula { sin_v: libm::sin(v), cos_v: libm::cos(v), b, c, h, rot }
     }
 
     #[inline(always)]
@@ -492,9 +492,9 @@ impl Formula {
     }
 }
 
-/// The arguments of [`Formula::largest_misses`], for a function compiled for several vector units.
+/// The arguments of [`FitFormula::largest_misses`], for a function compiled for several vector units.
 struct LargestMisses<'a> {
-    formula: &'a Formula,
+    formula: &'a FitFormula,
     points: &'a [Point],
 }
 
@@ -521,6 +521,6 @@ fn explained_share(constants: &[f64; 5], points: &[Point]) -> f64 {
     /// In metres.
     const REACH: f64 = 0.0016;
     let points: Vec<Point> = thinned(points, SAMPLE).copied().collect();
-    let misses = Formula::new(constants).largest_misses(&points);
+    let misses = FitFormula::new(constants).largest_misses(&points);
     misses.iter().filter(|miss| **miss < REACH).count() as f64 / misses.len().max(1) as f64
 }

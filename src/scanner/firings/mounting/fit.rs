@@ -12,7 +12,7 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use rayon::prelude::*;
 
 use super::pose::{self, Pose};
-use super::{Mounting, Order};
+use super::{Mounting, TransformOrder};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{PointCloud, ScanFile, channel_of_lasers};
 use crate::scanner::firings::blur::Blur;
@@ -20,7 +20,7 @@ use crate::scanner::firings::constants::{Moved, MovedBy, Point, TRIED, by_rows};
 use crate::scanner::firings::fit::{
     ON_CONE, completed, elevations, fit_by, fit_moved, in_ticks, phase, range_step, ticks,
 };
-use crate::scanner::firings::order::{Order as FiringOrder, lines, order, vlp_16};
+use crate::scanner::firings::order::{FiringOrder, lines, order, vlp_16};
 use crate::scanner::firings::projection::nearest;
 use crate::scanner::firings::recipe::{Axes, whole_steps};
 use crate::scanner::firings::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
@@ -125,7 +125,7 @@ impl Mounting {
     fn of(pose: &Pose) -> Self {
         let [one, other] = pose::across(&pose.axis);
         let rows = [0, 1, 2].map(|axis| [one[axis], other[axis], pose.axis[axis], pose.apex[axis]]);
-        Mounting { order: Order::Double, rows }
+        Mounting { order: TransformOrder::Double, rows }
     }
 }
 
@@ -256,7 +256,7 @@ impl Seen {
             let scanner = few.scanner(recipe, best.part);
             let pairs = few.pairs(&scanner);
             let mounting = least_squares(&pairs, &best.mounting, &COARSE)?;
-            let missed = missed(&mounting, &Order::ALL, thinned(&pairs, FEW).copied());
+            let missed = missed(&mounting, &TransformOrder::ALL, thinned(&pairs, FEW).copied());
             Some((scanner, mounting, missed))
         });
         let (scanner, mounting, _) = similar.min_by_key(|(.., missed)| *missed)?;
@@ -285,7 +285,8 @@ impl Seen {
         let turned = |later: u32| mounting.turned(f64::from(later) * TAU / f64::from(ticks));
         let mut directions: Vec<(u32, u32)> = (0..ticks).map(|later| (0, later)).collect();
         // Their roundings tell the direction of azimuth 0.
-        let orders: Vec<Order> = Order::ALL.into_iter().filter(|order| order.rounds_first()).collect();
+        let orders: Vec<TransformOrder> =
+            TransformOrder::ALL.into_iter().filter(|order| order.rounds_first()).collect();
         let mut by_chance = 0;
         for (points, part) in ROUNDS {
             let points: Vec<&Measurement> = thinned(&few, points).collect();
@@ -378,10 +379,10 @@ fn unit_at(coordinate: f32) -> f64 {
 }
 
 /// How many coordinates a mounting does not reproduce, by the one of these orders of operations that reproduces the most.
-fn missed(mounting: &Mounting, orders: &[Order], pairs: impl Iterator<Item = Pair>) -> u32 {
+fn missed(mounting: &Mounting, orders: &[TransformOrder], pairs: impl Iterator<Item = Pair>) -> u32 {
     /// Metres: smaller coordinates are more accurate than the mounting is known at first.
     const SMALL: f32 = 0.5;
-    let mut missed = [0; Order::ALL.len()];
+    let mut missed = [0; TransformOrder::ALL.len()];
     for (point, position) in pairs {
         for axis in (0..3).filter(|&axis| position[axis].abs() > SMALL) {
             let row = &mounting.rows[axis];
@@ -405,7 +406,7 @@ const FINE: [(f64, f64); 6] =
 fn least_squares(pairs: &[Pair], start: &Mounting, rounds: &Rounds) -> Option<Mounting> {
     /// Metres: points farther off belong to other returns.
     const FARTHEST: f64 = 5e-3;
-    let mut mounting = Mounting { order: Order::Double, ..*start };
+    let mut mounting = Mounting { order: TransformOrder::Double, ..*start };
     for &(least, most) in rounds {
         for axis in 0..3 {
             let row = mounting.rows[axis];
@@ -433,7 +434,7 @@ fn least_squares(pairs: &[Pair], start: &Mounting, rounds: &Rounds) -> Option<Mo
 fn last_bits(pairs: &[Pair], start: &Mounting) -> Option<(Mounting, usize)> {
     /// What was written may reproduce fewer coordinates, as some lasers' constants are not known to the last bit yet.
     const AS_GOOD: f64 = 0.99;
-    let rounded = |(point, position): &Pair| (Order::Double.rounded_first(*point), *position);
+    let rounded = |(point, position): &Pair| (TransformOrder::Double.rounded_first(*point), *position);
     let rounded: Vec<Pair> = pairs.iter().map(rounded).collect();
     let squares = |pairs: &[Pair]| {
         let start = least_squares(pairs, start, &COARSE)?;
@@ -441,7 +442,7 @@ fn last_bits(pairs: &[Pair], start: &Mounting) -> Option<(Mounting, usize)> {
     };
     let (of_rounded, of_unrounded) = (squares(&rounded)?, squares(pairs)?);
     let few: Vec<Pair> = thinned(pairs, FEW).copied().collect();
-    let found = Order::ALL.into_par_iter().map(|order| {
+    let found = TransformOrder::ALL.into_par_iter().map(|order| {
         let (start, fine) = if order.rounds_first() { of_rounded } else { of_unrounded };
         let starts = if order.is_single() { vec![start] } else { vec![fine, start] };
         let axes = [0, 1, 2].map(|axis| {
@@ -492,13 +493,13 @@ fn written([a, b, c, t]: [f64; 4]) -> Vec<[f64; 4]> {
 }
 
 /// How many coordinates a row reproduces along an axis to the last bit.
-fn exact_along(order: Order, row: &[f64; 4], pairs: &[Pair], axis: usize) -> usize {
+fn exact_along(order: TransformOrder, row: &[f64; 4], pairs: &[Pair], axis: usize) -> usize {
     let is_exact = |(point, position): &&Pair| order.coordinate(row, point) as f32 == position[axis];
     pairs.iter().filter(is_exact).count()
 }
 
 /// The row near another one that reproduces the most coordinates along an axis to the last bit, and how many.
-fn sharpened(order: Order, row: [f64; 4], pairs: &[Pair], axis: usize) -> ([f64; 4], usize) {
+fn sharpened(order: TransformOrder, row: [f64; 4], pairs: &[Pair], axis: usize) -> ([f64; 4], usize) {
     /// Units to either side in which each number is searched.
     const FARTHEST: i32 = 6;
     /// Units of numbers in double precision, and rounds for others, whose unit is that of float32.

@@ -5,7 +5,7 @@
 //! ```text
 //! v = R p + T
 //! ```
-//! The [`Order`] of the operations and their precision are those of the program. `pose` finds where the scanner is
+//! The [`TransformOrder`] of the operations and their precision are those of the program. `pose` finds where the scanner is
 //! and how it is turned from points alone; `fit` finds the numbers.
 
 mod fit;
@@ -21,7 +21,7 @@ use crate::scanner::REACH;
 /// The order and precision in which a program computes `R p + T`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
-pub enum Order {
+pub enum TransformOrder {
     /// Double precision, rounded once.
     Double = 1,
     /// Double precision, rounded after the rotation and again after the translation: the devkit of nuScenes.
@@ -37,15 +37,15 @@ pub enum Order {
     DoubleUnrounded = 6,
 }
 
-impl Order {
+impl TransformOrder {
     /// Every order.
-    pub const ALL: [Order; 6] = [
-        Order::Double,
-        Order::DoubleRoundedTwice,
-        Order::SingleShiftFirst,
-        Order::SingleShiftLast,
-        Order::SingleFused,
-        Order::DoubleUnrounded,
+    pub const ALL: [TransformOrder; 6] = [
+        TransformOrder::Double,
+        TransformOrder::DoubleRoundedTwice,
+        TransformOrder::SingleShiftFirst,
+        TransformOrder::SingleShiftLast,
+        TransformOrder::SingleFused,
+        TransformOrder::DoubleUnrounded,
     ];
 
     /// The order of this number in the stream.
@@ -55,12 +55,15 @@ impl Order {
 
     /// Whether the numbers of R and T are float32.
     pub fn is_single(self) -> bool {
-        !matches!(self, Order::Double | Order::DoubleRoundedTwice | Order::DoubleUnrounded)
+        !matches!(
+            self,
+            TransformOrder::Double | TransformOrder::DoubleRoundedTwice | TransformOrder::DoubleUnrounded
+        )
     }
 
     /// Whether points were rounded to float32 before they were moved.
     pub fn rounds_first(self) -> bool {
-        self != Order::DoubleUnrounded
+        self != TransformOrder::DoubleUnrounded
     }
 
     /// A point of the recipe as it is moved.
@@ -83,11 +86,11 @@ impl Order {
         let [x, y, z] = point.map(|metres| metres as f32);
         let [a, b, c, t] = row.map(|number| number as f32);
         match self {
-            Order::Double | Order::DoubleUnrounded => turned(row) + row[3],
-            Order::DoubleRoundedTwice => f64::from(turned(row) as f32) + row[3],
-            Order::SingleShiftFirst => (x * a + (y * b + (z * c + t))).into(),
-            Order::SingleShiftLast => (((x * a + y * b) + z * c) + t).into(),
-            Order::SingleFused => (libm::fmaf(z, c, libm::fmaf(y, b, x * a)) + t).into(),
+            TransformOrder::Double | TransformOrder::DoubleUnrounded => turned(row) + row[3],
+            TransformOrder::DoubleRoundedTwice => f64::from(turned(row) as f32) + row[3],
+            TransformOrder::SingleShiftFirst => (x * a + (y * b + (z * c + t))).into(),
+            TransformOrder::SingleShiftLast => (((x * a + y * b) + z * c) + t).into(),
+            TransformOrder::SingleFused => (libm::fmaf(z, c, libm::fmaf(y, b, x * a)) + t).into(),
         }
     }
 }
@@ -96,7 +99,7 @@ impl Order {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mounting {
     /// How this was computed.
-    pub order: Order,
+    pub order: TransformOrder,
     /// For each coordinate, its row of R and its number of T, in metres.
     pub rows: [[f64; 4]; 3],
 }

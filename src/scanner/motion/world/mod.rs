@@ -122,11 +122,12 @@ pub struct World {
     pub corrections: Vec<Correction>,
 }
 
-/// A rotation matrix.
-type Matrix = [[f64; 3]; 3];
+/// A rotation matrix by its rows. What streams rely on is computed in this order of operations, which a library might
+/// change.
+type Rows3 = [[f64; 3]; 3];
 
 /// The rotation about an axis whose length is the angle in radians: Rodrigues' formula.
-fn rotation(axis: [f64; 3]) -> Matrix {
+fn rotation(axis: [f64; 3]) -> Rows3 {
     let [x, y, z] = axis;
     let angle = (x * x + y * y + z * z).sqrt();
     let [x, y, z] = if angle > 0.0 { axis.map(|a| a / angle) } else { [0.0; 3] };
@@ -139,16 +140,16 @@ fn rotation(axis: [f64; 3]) -> Matrix {
     ]
 }
 
-fn transposed(matrix: &Matrix) -> Matrix {
+fn transposed(matrix: &Rows3) -> Rows3 {
     std::array::from_fn(|row| std::array::from_fn(|column| matrix[column][row]))
 }
 
 #[inline]
-fn times_vector(matrix: &Matrix, v: [f64; 3]) -> [f64; 3] {
+fn times_vector(matrix: &Rows3, v: [f64; 3]) -> [f64; 3] {
     matrix.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
 }
 
-fn times_matrix(a: &Matrix, b: &Matrix) -> Matrix {
+fn times_matrix(a: &Rows3, b: &Rows3) -> Rows3 {
     let columns = transposed(b).map(|column| times_vector(a, column));
     transposed(&columns)
 }
@@ -183,7 +184,7 @@ fn between(knots: [(f64, &Metric); 2], time: f64, lever: [f64; 3]) -> Metric {
 
 /// The motion from the scanner to the map: g = f32(turn p + shift).
 struct ToMap {
-    turn: Matrix,
+    turn: Rows3,
     shift: [f64; 3],
 }
 
@@ -199,8 +200,8 @@ impl ToMap {
 struct Formula<'w> {
     world: &'w World,
     /// Q, and the inverse.
-    axes: Matrix,
-    back: Matrix,
+    axes: Rows3,
+    back: Rows3,
     movers: Vec<ToMap>,
     /// Steps of the lattices in metres; 0 for no lattice.
     steps: [f64; 2],

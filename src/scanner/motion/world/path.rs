@@ -26,7 +26,7 @@ impl Default for Told {
 
 /// The firings whose poses lie on a path.
 #[derive(Clone, Copy)]
-pub struct Firings<'a> {
+pub struct PathFirings<'a> {
     /// Times in microseconds.
     pub times: &'a [f64],
     pub poses: &'a [Six],
@@ -143,7 +143,7 @@ fn ridge(all: &Matrix6<f64>) -> Matrix6<f64> {
     Matrix6::from_diagonal(&((all.diagonal() + Six::repeat(1e-6)) * RIDGE))
 }
 
-impl<'a> Firings<'a> {
+impl<'a> PathFirings<'a> {
     /// The best path with these knots. With a lever, the path sags between knots as the preceding path
     /// implies.
     pub fn path(&self, knots: &[f64], sag: Option<(&Vector, &Path)>) -> Option<Path> {
@@ -211,8 +211,8 @@ pub struct KnotSearch<'a> {
 const LEAST_GAP: f64 = 100.0;
 
 impl<'a> KnotSearch<'a> {
-    pub fn new(firings: Firings<'a>) -> Self {
-        let Firings { times, poses, told } = firings;
+    pub fn new(firings: PathFirings<'a>) -> Self {
+        let PathFirings { times, poses, told } = firings;
         let last = times.len() - 1;
         let mut squares = 0.0;
         let mut sum = Moments { normal: [Matrix6::zeros(); 3], right: [Six::zeros(); 2] };

@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use nalgebra::{Matrix6, Rotation3, UnitQuaternion};
 
 use super::anchor::{Pair, rigid, rounded, spacing};
-use super::path::{Firings, KnotSearch, Path, Six, Told};
+use super::path::{KnotSearch, Path, PathFirings, Six, Told};
 use super::sweep::{Matrix, Vector};
 use super::undo::{Errors, MEAN_FIRING_US, Search, turn_of};
 use super::{Knot, PACKETS, PLACE_UNIT, Pose, SLOTS, TIME_UNIT, TURN_UNIT, Times, World};
@@ -83,8 +83,8 @@ impl Search {
     fn find_times(&self) -> Option<(Vec<f64>, usize)> {
         let even: Vec<f64> = (0..self.firings).map(|firing| firing as f64 * MEAN_FIRING_US).collect();
         let told = self.all_told(0, Errors::Rounding(1.0, [0.0, 3e-7, 5e-8]), 8.0);
-        let knots =
-            KnotSearch::new(Firings { times: &even, poses: &self.poses, told: &told }).grown(None, 9, 300.0);
+        let knots = KnotSearch::new(PathFirings { times: &even, poses: &self.poses, told: &told })
+            .grown(None, 9, 300.0);
         let tried = (0..PACKETS).map(|short| {
             let times = self.times(short).of_firings(self.firings);
             let at = |knot: &f64| {
@@ -93,8 +93,8 @@ impl Search {
                 times[place - 1] + (times[place] - times[place - 1]) * part
             };
             let moved: Vec<f64> = knots.iter().map(at).collect();
-            let squares =
-                KnotSearch::new(Firings { times: &times, poses: &self.poses, told: &told }).squares(&moved);
+            let squares = KnotSearch::new(PathFirings { times: &times, poses: &self.poses, told: &told })
+                .squares(&moved);
             (squares, times, short)
         });
         tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, times, short)| (times, short))
@@ -116,7 +116,7 @@ impl Search {
         let more = if round == 0 { [0.0, 2e-7, 3e-8] } else { [0.0; 3] };
         let first = following.first;
         let told = self.all_told(first, Errors::Rounding(1.0, more), CLIP);
-        let firings = Firings { times: following.times(), poses: &self.poses[first..], told: &told };
+        let firings = PathFirings { times: following.times(), poses: &self.poses[first..], told: &told };
         let search = KnotSearch::new(firings);
         // The second round starts anew, now that the map's origin is nearly right.
         let begun = (round == 2).then(|| following.path.times.clone());
@@ -142,7 +142,7 @@ impl Search {
         let first = following.first;
         let errors = inside.map_or(Errors::Rounding(1.0, [0.0; 3]), Errors::Inside);
         let told = self.all_told(first, errors, CLIP);
-        let firings = Firings { times: following.times(), poses: &self.poses[first..], told: &told };
+        let firings = PathFirings { times: following.times(), poses: &self.poses[first..], told: &told };
         let path = firings.path(&following.path.times, Some((&self.lever(), &following.path)))?;
         self.go_along(following, path);
         Some(())
@@ -390,7 +390,7 @@ impl Search {
                 .map(|firing| self.told(firing, Errors::Rounding(times_error, [0.0; 3]), CLIP))
                 .collect();
             let line = [times[0], times[first - 1]];
-            let firings = Firings { times: &times[..first], poses: &self.poses[..first], told: &told };
+            let firings = PathFirings { times: &times[..first], poses: &self.poses[..first], told: &told };
             let path = if first > 2 { firings.path(&line, None) } else { None };
             for firing in 0..first {
                 if let Some(path) = &path {

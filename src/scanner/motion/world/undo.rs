@@ -5,7 +5,7 @@
 use nalgebra::Matrix3;
 
 use super::anchor::spacing;
-use super::path::{Firings, Six, Told};
+use super::path::{PathFirings, Six, Told};
 use super::sweep::{
     FAR_STEPS, Hdl32e, Matrix, Reading, Returnless, Ticks, Vector, returnless, shared_place, ticks, turned,
 };
@@ -351,7 +351,7 @@ impl Search {
     /// Fits the poses of all firings to a path with these knots.
     fn follow(&mut self, times: &[f64], knots: &[f64], errors: Errors, clip: f64) -> Option<()> {
         let told = self.all_told(0, errors, clip);
-        let path = Firings { times, poses: &self.poses, told: &told }.path(knots, None)?;
+        let path = PathFirings { times, poses: &self.poses, told: &told }.path(knots, None)?;
         self.poses = times.iter().map(|time| path.at(*time, &Vector::zeros())).collect();
         Some(())
     }
