@@ -1,6 +1,6 @@
 //! Fast angle functions for computations where the last bits do not matter: several times as fast as the
 //! exact functions, with the same results on every processor. Only encoders use them, to find candidates that
-//! the exact formula then confirms.
+//! the exact formula then confirms. Differences of ticks are whole numbers, for both sides.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
@@ -76,9 +76,37 @@ pub fn rough_sine(turns: f64) -> f64 {
     parabola + 0.225 * (parabola * parabola.abs() - parabola)
 }
 
+/// A difference of azimuths in ticks, of which a turn has `turn`, as one of half a turn at most: the shorter way round.
+#[inline]
+pub fn shorter_way(ticks: i64, turn: i64) -> i64 {
+    // Divisions are slow, and most differences are less than a turn.
+    let ahead = ticks + turn / 2;
+    let within = match ahead {
+        _ if (0..turn).contains(&ahead) => ahead,
+        _ if (-turn..0).contains(&ahead) => ahead + turn,
+        _ if (turn..2 * turn).contains(&ahead) => ahead - turn,
+        _ => ahead.rem_euclid(turn),
+    };
+    within - turn / 2
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_shorter_way_is_half_a_turn_at_most() {
+        for turn in [7, 8, 36_000] {
+            for ticks in (-3 * turn..3 * turn).step_by(turn as usize / 7) {
+                let shorter = shorter_way(ticks, turn);
+                assert!(
+                    2 * shorter.abs() <= turn && (ticks - shorter) % turn == 0,
+                    "{ticks} of {turn}: {shorter}"
+                );
+            }
+        }
+        assert_eq!([-4, 4].map(|ticks| shorter_way(ticks, 8)), [-4; 2]);
+    }
 
     #[test]
     fn angles_are_near_the_exact_ones() {

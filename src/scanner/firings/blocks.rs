@@ -4,6 +4,7 @@
 use super::projection::{Column, Place};
 use super::timing::{Span, passed_ticks};
 use super::{Firings, Timing};
+use crate::ground::angle::shorter_way;
 use crate::ground::rounding::round_ties_even;
 
 impl Firings {
@@ -127,7 +128,7 @@ impl Firings {
         };
         // If the place may have another tick, the one that the block before implies.
         let tick = start(first, firing);
-        let likely = before.map_or(0, |before| centred(i64::from(before) - tick, turn));
+        let likely = before.map_or(0, |before| shorter_way(i64::from(before) - tick, turn));
         let from = tick + likely.clamp(-i64::from(first.slack), i64::from(first.slack));
         let next = columns.get(block.end).and_then(|column| surest(std::iter::once((column, 0)), of));
         let told = next.filter(|(next, _)| next.slack == 0).map(|(next, _)| start(next, 0));
@@ -228,7 +229,7 @@ impl Block<'_> {
                 let passed = passed_ticks(span, parts.get(slot).copied().unwrap_or(0));
                 let off = i64::from(place.column_tick) - i64::from(passed) - from + OFF;
                 if place.slack > 0 {
-                    let (off, slack) = (centred(off, turn), i64::from(place.slack));
+                    let (off, slack) = (shorter_way(off, turn), i64::from(place.slack));
                     let all = (off - slack).max(0)..=(off + slack).min(2 * OFF);
                     all.for_each(|off| counts[off as usize] += 1);
                     continue;
@@ -241,11 +242,6 @@ impl Block<'_> {
         }
         counts
     }
-}
-
-/// A difference of ticks, less whole turns: at most half a turn to either side.
-fn centred(off: i64, turn: i64) -> i64 {
-    (off + turn / 2).rem_euclid(turn) - turn / 2
 }
 
 /// The explanation of a block: its tick, the ticks to the next one, and the number of places for which they are

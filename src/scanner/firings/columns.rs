@@ -4,6 +4,7 @@
 use super::Firings;
 use super::timing::Span;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
+use crate::ground::angle::shorter_way;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::RangeImage;
@@ -87,8 +88,7 @@ impl FiringColumnModel {
                     .code(coder, C::ENCODES && column > 0 && tick == last_tick);
             was_same = same;
             if !same {
-                // The shorter way round.
-                let step = (tick - last_tick + turn / 2).rem_euclid(turn) - turn / 2;
+                let step = shorter_way(tick - last_tick, turn);
                 let difference =
                     code_signed(&mut self.steps[context(change)], coder, step.wrapping_sub(last_step));
                 let step = last_step.wrapping_add(difference);

@@ -12,6 +12,7 @@ use super::constants::{Constants, Determined, Moved, Point, TRIED, by_rows, near
 use super::order::{FiringOrder, STEADY, VLP_16, lines, order, timed, vlp_16};
 use super::projection::{nearest, without_echoes};
 use super::{Build, Firings, Origin, Recipe, Timing};
+use crate::ground::angle::shorter_way;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{PointCloud, ScanFile};
 use crate::scanner::{Coordinates, REACH};
@@ -564,9 +565,8 @@ impl RecordGrid {
             .for_each(|(column, _, tick)| tick_of_column[column] = Some(tick));
         let mut ahead: Vec<Vec<i64>> = vec![Vec::new(); rows];
         for (column, row, tick) in found() {
-            let turn = i64::from(ticks);
             if let Some(first) = tick_of_column[column] {
-                ahead[row].push((i64::from(tick) - i64::from(first) + turn / 2).rem_euclid(turn) - turn / 2);
+                ahead[row].push(shorter_way(i64::from(tick) - i64::from(first), i64::from(ticks)));
             }
         }
         let all: usize = ahead.iter().map(Vec::len).sum();

@@ -3,6 +3,7 @@
 use super::projection::{Column, Place, nearest};
 use super::timing::{MOST_BLOCKS, WHOLE};
 use super::{Firings, Timing};
+use crate::ground::angle::shorter_way;
 
 /// The elevations of Velodyne's VLP-16 in degrees, in the order in which its lasers fire.
 pub(super) const VLP_16: [i32; 16] = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15];
@@ -85,10 +86,7 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32, slack: u
     let mut order = cycle(sequence, rows)?;
     let mut slots = vec![0; rows];
     order.iter().enumerate().for_each(|(slot, &row)| slots[row] = slot);
-    let turned = |from: u32, to: u32| {
-        let turn = i64::from(ticks);
-        (i64::from(to) - i64::from(from) + turn / 2).rem_euclid(turn) - turn / 2
-    };
+    let turned = |from: u32, to: u32| shorter_way(i64::from(to) - i64::from(from), i64::from(ticks));
     // The steps from each laser to each that follows it in the file.
     let mut steps: Vec<Vec<i64>> = vec![Vec::new(); rows * rows];
     for pair in sequence.windows(2) {
@@ -161,8 +159,7 @@ pub(super) fn lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Optio
     const RARE: usize = 50;
     let turn = i64::from(ticks);
     let steps = sequence.windows(2).filter(|pair| pair[0].0 == pair[1].0);
-    let steps = steps
-        .map(|pair| (i64::from(pair[1].1) - i64::from(pair[0].1) + turn / 2).rem_euclid(turn) - turn / 2);
+    let steps = steps.map(|pair| shorter_way(i64::from(pair[1].1) - i64::from(pair[0].1), turn));
     let (mut on, mut back) = (0, 0);
     steps.for_each(|step| *(if step < 0 { &mut back } else { &mut on }) += 1);
     let out_of_order = sequence.len().saturating_sub(rows + usize::max(on, back));

@@ -5,7 +5,7 @@ use pulp::NullaryFnOnce;
 use super::blur::Blur;
 use super::timing::Span;
 use super::{Firings, Located};
-use crate::ground::angle;
+use crate::ground::angle::{self, shorter_way};
 use crate::ground::error::Limits;
 use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
@@ -522,16 +522,10 @@ impl Firings {
         self.passed.parts.get(place).copied().unwrap_or(0.0)
     }
 
-    /// Ticks from one tick to another, both within a turn, the shorter way.
+    /// Ticks from one tick to another, the shorter way round.
     #[inline]
     pub(super) fn turned(&self, from: u32, to: u32) -> i64 {
-        let turn = i64::from(self.build.ticks);
-        let ahead = i64::from(to) - i64::from(from);
-        match ahead + turn / 2 {
-            ..0 => ahead + turn,
-            far if far >= turn => ahead - turn,
-            _ => ahead,
-        }
+        shorter_way(i64::from(to) - i64::from(from), i64::from(self.build.ticks))
     }
 
     /// Ticks from one tick to another, forwards.

@@ -6,6 +6,7 @@ use std::f64::consts::PI;
 use nalgebra::{Matrix3, Vector3};
 
 use super::SLOTS;
+use crate::ground::angle::shorter_way;
 use crate::ground::rounding::round_ties_even;
 
 pub type Vector = Vector3<f64>;
@@ -75,7 +76,7 @@ impl Hdl32e {
 
 /// Ticks from one tick to another, the shorter way round.
 pub fn turned(from: i64, to: i64) -> i64 {
-    (to - from + TURN / 2).rem_euclid(TURN) - TURN / 2
+    shorter_way(to - from, TURN)
 }
 
 /// The position of the scanner at each firing, as given by records without a return; and which records these
