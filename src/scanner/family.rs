@@ -235,7 +235,7 @@ impl Scanner {
     /// The deviations of the image's points from the formula, in metres.
     pub fn misses(&self, projection: &Projection, cloud: &PointCloud) -> Vec<f64> {
         match self {
-            Scanner::Hdl64(scanner) => projection.misses(scanner, cloud),
+            Scanner::Hdl64(scanner) => scanner.misses(projection, cloud),
             Scanner::Firings(scanner) => {
                 let miss = |found: &Return| {
                     let point = projection.point_of_cell[(found.row as usize, found.column as usize)];

@@ -13,10 +13,17 @@ mod range_image;
 pub use coordinates::{Coordinates, nearest_millimetre};
 pub use family::{ColumnModels, Scanner};
 pub use hdl64::{
-    Alignment, BeamConstants, EXACT_RANGE_BITS, FLOAT_RANGES, Hdl64, MOST_RANGE_STEP_UM, MOST_STEPS,
-    MOST_TICKS, Projection, RANGE_STEP_UM, REACH, Refinement, Sighting, fit, positions, project,
+    Alignment, BeamConstants, Hdl64, RANGE_STEP_UM, Refinement, Sighting, fit, positions, project,
     project_nearest, sine_and_cosine,
 };
-pub(crate) use hdl64::{BeamPoint, split_beams, thinned};
+pub(crate) use hdl64::{BeamPoint, split_beams};
 pub use ideal::{ideal, ideal_of};
-pub use range_image::{Echo, RangeImage, Return};
+pub use range_image::{
+    EXACT_RANGE_BITS, Echo, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, Projection, REACH,
+    RangeImage, Return,
+};
+
+/// At most about `count` of the values, evenly spaced.
+pub(crate) fn thinned<T>(values: &[T], count: usize) -> impl Iterator<Item = &T> {
+    values.iter().step_by(values.len().div_ceil(count).max(1))
+}

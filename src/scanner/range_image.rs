@@ -6,6 +6,20 @@
 
 use crate::ground::grid::Grid;
 
+/// The finest azimuth grid allowed, in ticks a turn: 0.001 degree.
+pub const MOST_TICKS: u64 = 360_000;
+/// The coarsest range step, in micrometres.
+pub const MOST_RANGE_STEP_UM: u64 = 1_000_000;
+/// The range step that means that steps are the bits of ranges in metres as float32.
+pub const FLOAT_RANGES: u32 = 0;
+/// The longest range in any range image, in steps.
+pub const MOST_STEPS: u32 = (1 << 24) - 1;
+/// The number of bits of a range, in steps, in a lossless image.
+pub const EXACT_RANGE_BITS: u32 = 16;
+/// The largest error of the formula, in metres along an axis in addition to half a range step, for a point of
+/// a lossless image.
+pub const REACH: f64 = 0.003;
+
 /// The range image of a scan.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RangeImage {
@@ -63,6 +77,19 @@ impl RangeImage {
     pub fn occupancy(&self) -> Grid<bool> {
         self.steps.map(|&steps| steps > 0)
     }
+}
+
+/// A range image and the points of its cells.
+#[derive(Debug, Default)]
+pub struct Projection {
+    /// The range image.
+    pub image: RangeImage,
+    /// For each cell, the number of the point in it; meaningful only for cells with a return.
+    pub point_of_cell: Grid<u32>,
+    /// The point of each echo.
+    pub point_of_echo: Vec<u32>,
+    /// The points outside the image, in ascending order.
+    pub strays: Vec<u32>,
 }
 
 /// One return of the range image, or a blank.

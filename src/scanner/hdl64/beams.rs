@@ -12,6 +12,7 @@ use rayon::prelude::*;
 
 use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
+use crate::scanner::thinned;
 
 /// A point in the form needed by the fit, in metres and radians.
 #[derive(Clone, Copy, Debug, Default)]
@@ -254,9 +255,4 @@ impl Cone {
         }
         cone
     }
-}
-
-/// At most about `count` of the values, evenly spaced.
-pub(crate) fn thinned<T>(values: &[T], count: usize) -> impl Iterator<Item = &T> {
-    values.iter().step_by(values.len().div_ceil(count).max(1))
 }

@@ -12,7 +12,7 @@ use nalgebra::{SMatrix, SVector};
 use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 
-use super::beams::{Beam, Cone, Point, align, split_beams, thinned};
+use super::beams::{Beam, Cone, Point, align, split_beams};
 use super::column_shifts::column_shifts;
 use super::formula::small_atan;
 use super::sharpen::sharpen;
@@ -20,7 +20,7 @@ use crate::ground::angle::rough_sine;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
-use crate::scanner::{BeamConstants, Coordinates, Hdl64, Refinement};
+use crate::scanner::{BeamConstants, Coordinates, Hdl64, Refinement, thinned};
 
 /// Azimuth ticks in a turn of the scanners that this fit handles.
 const TICKS: u32 = 4000;

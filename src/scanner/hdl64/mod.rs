@@ -19,11 +19,11 @@ mod single_precision;
 mod testing;
 
 pub use alignment::Alignment;
-pub(crate) use beams::{Point as BeamPoint, split_beams, thinned};
+pub(crate) use beams::{Point as BeamPoint, split_beams};
 pub use columns::ColumnModel;
 pub use fit::{RANGE_STEP_UM, fit, is_evident};
-pub use model::{BeamConstants, FLOAT_RANGES, Hdl64, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, Sighting};
+pub use model::{BeamConstants, Hdl64, Sighting};
 pub use positions::positions;
-pub use projection::{EXACT_RANGE_BITS, Projection, REACH, project, project_nearest};
+pub use projection::{project, project_nearest};
 pub use sine::sine_and_cosine;
 pub use single_precision::Refinement;

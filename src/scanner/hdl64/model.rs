@@ -25,7 +25,7 @@ use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
 use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_signed, read_unsigned, read_within, write_signed, write_unsigned};
-use crate::scanner::Coordinates;
+use crate::scanner::{Coordinates, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS};
 
 /// The unit of quantised angles, in radians.
 const ANGLE_UNIT: f64 = 1.0 / (1u64 << 32) as f64;
@@ -37,8 +37,6 @@ const LARGEST_CONSTANT: u64 = 1 << 34;
 const MOST_BEAMS: u64 = 1024;
 /// The code of float32 coordinates computed in single precision; it follows the codes of the grids.
 const SINGLE_PRECISION: u64 = 2;
-/// The finest azimuth grid allowed: 0.001 degree.
-pub const MOST_TICKS: u64 = 360_000;
 
 /// The constants of one beam, quantised as in the stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -540,15 +538,6 @@ impl Hdl64 {
 
 /// In metres: less than half the distance between the cones of two beams at any range.
 pub(crate) const ON_CONE: f64 = 0.004;
-
-/// The longest range in any range image, in steps.
-pub const MOST_STEPS: u32 = (1 << 24) - 1;
-
-/// The value of [`Hdl64::range_step_um`] that means float32 ranges.
-pub const FLOAT_RANGES: u32 = 0;
-
-/// The coarsest range step, in micrometres.
-pub const MOST_RANGE_STEP_UM: u64 = 1_000_000;
 
 /// The longest float32 range, in metres.
 const FARTHEST: f32 = 1e6;

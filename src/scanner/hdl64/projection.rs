@@ -5,31 +5,18 @@ use pulp::NullaryFnOnce;
 use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::scan::{PointCloud, squared_distance};
-use crate::scanner::Hdl64;
-use crate::scanner::RangeImage;
+use crate::scanner::{EXACT_RANGE_BITS, Hdl64, Projection, RangeImage};
 
-/// A range image and the points of its cells.
-#[derive(Debug, Default)]
-pub struct Projection {
-    /// The range image.
-    pub image: RangeImage,
-    /// For each cell, the number of the point in it; meaningful only for cells with a return.
-    pub point_of_cell: Grid<u32>,
-    /// The point of each echo.
-    pub point_of_echo: Vec<u32>,
-    /// The points outside the image, in ascending order.
-    pub strays: Vec<u32>,
-}
-
-impl Projection {
-    /// The deviations of the image's points from the formula, in metres, row after row.
-    pub fn misses(&self, scanner: &Hdl64, cloud: &PointCloud) -> Vec<f64> {
+impl Hdl64 {
+    /// The deviations of an image's points from the formula, in metres, row after row.
+    pub fn misses(&self, projection: &Projection, cloud: &PointCloud) -> Vec<f64> {
         let mut misses = Vec::with_capacity(cloud.positions.len());
-        for row in 0..self.image.steps.rows() {
-            for (column, &steps) in self.image.steps.row(row).iter().enumerate().filter(|(_, s)| **s > 0) {
-                let tick = scanner.tick_of_column(row, self.image.columns[column]);
-                let formula = scanner.point(row, tick, steps).map(|metres| metres as f32);
-                let point = &cloud.positions[self.point_of_cell[(row, column)] as usize];
+        let image = &projection.image;
+        for row in 0..image.steps.rows() {
+            for (column, &steps) in image.steps.row(row).iter().enumerate().filter(|(_, s)| **s > 0) {
+                let tick = self.tick_of_column(row, image.columns[column]);
+                let formula = self.point(row, tick, steps).map(|metres| metres as f32);
+                let point = &cloud.positions[projection.point_of_cell[(row, column)] as usize];
                 misses.push(squared_distance(&formula, point).sqrt());
             }
         }
@@ -39,14 +26,9 @@ impl Projection {
 
 /// The longest range in a lossless image, in steps; farther points are strays.
 const LONGEST: u32 = (1 << EXACT_RANGE_BITS) - 1;
-/// The number of bits of such ranges.
-pub const EXACT_RANGE_BITS: u32 = 16;
 
 /// If there are many beams, a column with fewer points costs more than the points do as strays.
 const FEWEST_IN_COLUMN: u32 = 3;
-/// The largest error of the formula, in metres along an axis in addition to half a range step, for a point of
-/// a lossless image.
-pub const REACH: f64 = 0.003;
 
 /// Projects a scan into a range image (article, IV-A, with the calibrated scanner in place of the ideal one,
 /// so that nothing is lost). Points that deviate from the formula by more than `reach` metres along an axis,
@@ -214,6 +196,7 @@ impl Search<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scanner::REACH;
     use crate::scanner::hdl64::testing::scanner;
     use crate::scanner::positions;
 

@@ -12,12 +12,12 @@ use std::ops::Range;
 
 use pulp::NullaryFnOnce;
 
-use super::beams::{Point, thinned};
+use super::beams::Point;
 use super::heights::Heights;
 use super::single_precision::{Refinement, SingleBeam};
 use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
-use crate::scanner::Hdl64;
+use crate::scanner::{Hdl64, thinned};
 
 /// Number of points computed at a time.
 const LANES: usize = 8;
