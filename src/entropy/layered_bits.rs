@@ -1,8 +1,9 @@
 //! Bits coded from the counters of several views and from external opinions, mixed in two layers.
 //! FORMAT.md 6.6.
 
-use super::logistic::{CONSTANT, LANES};
+use super::logistic::CONSTANT;
 use super::{BitCoder, Counter, LayeredMixer, Logistic, MixContexts, MixRates};
+use crate::ground::lanes::LANES;
 
 /// Codes bits by mixing `O` external opinions, those of counters in `V` views, and a constant one, in `S`
 /// mixers. `N` is the number of opinions, rounded up to a multiple of four.

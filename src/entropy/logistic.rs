@@ -167,8 +167,6 @@ pub struct MixedBits<const V: usize, const N: usize> {
     tables: &'static Logistic,
 }
 
-/// Number of values that a vector unit of any processor computes with at once.
-pub(super) const LANES: usize = 4;
 /// The constant opinion.
 pub(super) const CONSTANT: f32 = 0.25;
 

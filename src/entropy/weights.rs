@@ -1,7 +1,7 @@
 //! The weights of logistic mixing: how much each of several opinions has helped so far, in each context.
 //! FORMAT.md 6.3 and 6.5.
 
-use super::logistic::LANES;
+use crate::ground::lanes::{LANES, sum_of_products};
 
 /// The ratio of the initial to the final learning rate.
 const EARLY_RATE: f32 = 4.0;
@@ -41,14 +41,7 @@ impl<const N: usize> WeightSets<N> {
     /// The weighted sum of the opinions.
     #[inline(always)]
     pub fn mix(&self, set: usize, opinions: &[f32; N]) -> f32 {
-        let weights = &self.weights[set];
-        let mut sums = [0.0f32; LANES];
-        for block in (0..N).step_by(LANES) {
-            for lane in 0..LANES {
-                sums[lane] += weights[block + lane] * opinions[block + lane];
-            }
-        }
-        (sums[0] + sums[1]) + (sums[2] + sums[3])
+        sum_of_products(0.0, &self.weights[set], opinions)
     }
 
     /// Learns from a bit to which the set's sum gave the probability `p` / 65536.

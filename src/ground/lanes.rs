@@ -29,3 +29,17 @@ pub fn lanes<T: Copy + Default, const N: usize>(value: impl Fn(usize) -> T) -> [
     }
     values
 }
+
+/// Number of values that a vector unit of any processor computes with at once.
+pub const LANES: usize = 4;
+
+/// `start` plus the products, lane by lane: in the same order on every processor.
+#[inline(always)]
+pub fn sum_of_products<const N: usize>(start: f32, a: &[f32; N], b: &[f32; N]) -> f32 {
+    let mut sums = [0.0; LANES];
+    sums[0] = start;
+    for i in 0..N {
+        sums[i % LANES] += a[i] * b[i];
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
+}

@@ -5,6 +5,8 @@ mod batched;
 
 pub use batched::BatchedLeastSquares;
 
+use crate::ground::lanes::{LANES, sum_of_products};
+
 /// `N` weights, solved again every few samples from the running normal equations.
 #[derive(Clone, Debug)]
 pub struct LeastSquares<const N: usize> {
@@ -17,8 +19,6 @@ pub struct LeastSquares<const N: usize> {
     solve_every: u32,
 }
 
-/// Number of values that a vector unit of any processor computes with at once.
-pub const LANES: usize = 4;
 /// Samples between two solutions, by default.
 const SOLVE_EVERY: u32 = 32;
 /// Added to the diagonal; keeps the weights of features that have not yet occurred near zero.
@@ -57,7 +57,7 @@ impl<const N: usize> LeastSquares<N> {
     /// The prediction from these features.
     #[inline(always)]
     pub fn predict(&self, features: &[f32; N]) -> f32 {
-        sum_of_products(&self.weights, features)
+        sum_of_products(0.0, &self.weights, features)
     }
 
     /// Learns that `target` came with these features; `weight` is the weight of this sample.
@@ -119,16 +119,6 @@ impl<const N: usize> LeastSquares<N> {
             self.weights[i] = (forward[i] - known) * inverse[i];
         }
     }
-}
-
-/// The sum of the products, lane by lane.
-#[inline(always)]
-fn sum_of_products<const N: usize>(a: &[f32; N], b: &[f32; N]) -> f32 {
-    let mut sums = [0.0; LANES];
-    for i in 0..N {
-        sums[i % LANES] += a[i] * b[i];
-    }
-    (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use pulp::NullaryFnOnce;
 use crate::entropy::TokenCoder;
 use crate::ground::lanes::dispatch;
 use crate::ground::varint::{unzigzag, zigzag};
+use crate::models::range::TYPICAL_RANGE;
 use crate::models::{Bins, IntensityScale};
 
 /// Numbers in a block: larger blocks save widths, smaller ones waste less if a single number is large.
@@ -32,15 +33,13 @@ pub const PACKED_INTENSITY_CONTEXTS: usize = LEAST + MOST_LEVEL_WIDTH as usize /
 /// before, that contain them. As in [`RangeTokens`](super::RangeTokens), ranges are from 1 to 2^`range_bits`
 /// - 1 and are decoded as the middles of their bins.
 pub fn code_packed_ranges<C: TokenCoder>(coder: &mut C, (range_bits, bin): (u32, u32), ranges: &mut [u32]) {
-    /// The prediction of the first range.
-    const TYPICAL: u32 = 3000;
     let most = (1 << range_bits) - 1;
     if bin == 1 {
         let range = |before, miss| {
             let range = differing(before, miss);
             if (1..=most).contains(&range) { range } else { cut(range, most) }
         };
-        return code_values(coder, TYPICAL, ranges, difference, range);
+        return code_values(coder, u32::from(TYPICAL_RANGE), ranges, difference, range);
     }
     let bins = |before: u32| Bins::around(i64::from(before), i64::from(bin));
     let miss = |before, range| {
@@ -51,7 +50,7 @@ pub fn code_packed_ranges<C: TokenCoder>(coder: &mut C, (range_bits, bin): (u32,
         let bins = bins(before);
         bins.middle(bins.central + i64::from(differing(0, miss) as i32), range_bits) as u32
     };
-    code_values(coder, TYPICAL, ranges, miss, range);
+    code_values(coder, u32::from(TYPICAL_RANGE), ranges, miss, range);
 }
 
 /// Codes intensities in the order of the cells: their levels on the scale, and the values that are not on it.

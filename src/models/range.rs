@@ -51,11 +51,15 @@ const REFERENCE_LEVELS: usize = 7;
 const CONTEXTS: usize = ACTIVITY_LEVELS * ERROR_LEVELS;
 /// Kinds of edges; each has its own least-squares fits.
 const EDGES: usize = 4;
-/// A difference of ranges, in steps, that counts as an edge.
-const EDGE: f32 = 60.0;
-/// Features and predictions are limited to this many steps from the left neighbour.
-const FEATURE_REACH: f64 = 300.0;
-const FIT_REACH: f64 = 400.0;
+/// A difference of ranges, in steps, that counts as an edge, or as a change from the frame before.
+const EDGE: u16 = 60;
+/// Features and predictions are limited to this many steps from what they are relative to.
+const FEATURE_REACH: u16 = 300;
+const FIT_REACH: u16 = 400;
+/// The weight that a least-squares fit keeps of its samples, from each to the next.
+const LONG_MEMORY: f32 = 0.998;
+/// The range assumed if nothing is known, in steps.
+pub(super) const TYPICAL_RANGE: u16 = 3000;
 /// Nodes of the decision tree that have their own counters.
 const NODES: usize = 64;
 /// Views of the context, each with its own counters; and the number of opinions that are mixed: those of the
@@ -105,7 +109,7 @@ impl Default for RangeModel {
             tables: Logistic::tables(),
             error_levels: Levels::new(1.6, 1.6),
             bits: MixedBits::new(sizes, sets * (1 + REFERENCE_LEVELS), 0.0, 1.0, 0.004),
-            fits: vec![LeastSquares::new(0.998); EDGES],
+            fits: vec![LeastSquares::new(LONG_MEMORY); EDGES],
             residuals: Residuals::default(),
             mixture: Mixture::new(RATES, [CONTEXTS], first_scale),
             with_reference: None,
@@ -225,8 +229,8 @@ impl RangeModel {
         range: i64,
     ) -> Coded {
         let fits = &mut self.fits[site.edge];
-        let fit = f64::from(fits.predict(&site.features)).clamp(-FIT_REACH, FIT_REACH);
-        let hinted = (fit + hint).clamp(-FIT_REACH, FIT_REACH);
+        let fit = within_reach(fits.predict(&site.features));
+        let hinted = within_reach(fit + hint);
         let values = site.predictions(hinted);
         let base = site.base(hinted, range_bits);
         let bins = Bins::around(base, bin);
@@ -272,8 +276,8 @@ impl WithReference {
         features[..FEATURES].copy_from_slice(&site.features);
         features[FEATURES..].copy_from_slice(&back.features(&site.near));
         let fits = &mut self.fits[site.edge];
-        let fit = f64::from(fits.predict(&features)).clamp(-FIT_REACH, FIT_REACH);
-        let hinted = (fit + hint).clamp(-FIT_REACH, FIT_REACH);
+        let fit = within_reach(fits.predict(&features));
+        let hinted = within_reach(fit + hint);
         let mut values = [0.0; ALL_PREDICTORS];
         values[..PREDICTORS].copy_from_slice(&site.predictions(hinted));
         values[PREDICTORS..].copy_from_slice(&[back.same as f32, back.moved as f32]);
@@ -308,4 +312,9 @@ impl WithReference {
         site.learn(fits, &features, fit, range as f64);
         Coded { range, fit, hinted, base }
     }
+}
+/// A prediction relative to the left neighbour, in steps, limited to [`FIT_REACH`].
+#[inline(always)]
+fn within_reach(steps: impl Into<f64>) -> f64 {
+    steps.into().clamp(-f64::from(FIT_REACH), FIT_REACH.into())
 }

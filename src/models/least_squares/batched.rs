@@ -4,7 +4,8 @@
 
 use pulp::NullaryFnOnce;
 
-use super::{LANES, RIDGE, SOLVE_EVERY, sum_of_products};
+use super::{RIDGE, SOLVE_EVERY};
+use crate::ground::lanes::{LANES, sum_of_products};
 use crate::ground::lanes::{dispatch, lanes};
 
 /// `N` weights, solved again every few samples.
@@ -58,7 +59,7 @@ impl<const N: usize> BatchedLeastSquares<N> {
     /// The prediction from these features.
     #[inline(always)]
     pub fn predict(&self, features: &[f32; N]) -> f32 {
-        sum_of_products(&self.weights, features)
+        sum_of_products(0.0, &self.weights, features)
     }
 
     /// Learns that `target` came with these features; `weight` is the weight of this sample.

@@ -115,7 +115,8 @@ impl ReferenceErrors {
 
     /// Records the error of the better of a cell's two references.
     pub fn record(&mut self, column: usize, range: f64, back: &Back) {
-        let error = (range - back.same).abs().min((range - back.moved).abs()).min(FEATURE_REACH) as f32;
+        let error =
+            (range - back.same).abs().min((range - back.moved).abs()).min(FEATURE_REACH.into()) as f32;
         self.mean = 0.6 * self.mean + 0.4 * error;
         self.above[column] = 0.5 * self.above[column] + 0.5 * error;
     }

@@ -64,7 +64,7 @@ impl ErrorTrack {
 
     /// Records the errors of the least-squares fit and of the base of the coding.
     pub fn record(&mut self, column: usize, fit_error: f64, base_error: f64) {
-        let magnitude = fit_error.abs().min(FEATURE_REACH) as f32;
+        let magnitude = fit_error.abs().min(FEATURE_REACH.into()) as f32;
         self.mean = 0.6 * self.mean + 0.4 * magnitude;
         self.current[column] =
             if self.has_row_above { 0.5 * self.above[column] + 0.5 * magnitude } else { magnitude };

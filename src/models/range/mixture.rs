@@ -3,7 +3,7 @@
 
 use super::{FIT, FIT_REACH, SURPRISE};
 use crate::entropy::Logistic;
-use crate::ground::lanes::lanes;
+use crate::ground::lanes::{lanes, sum_of_products};
 use crate::models::shape::{ErrorShape, Placed};
 
 /// The part of the probability that is distributed evenly over all ranges.
@@ -193,7 +193,7 @@ impl<const P: usize, const M: usize> Mixture<P, M> {
         for k in 0..P {
             let surprise = k == SURPRISE;
             let (farthest, least, always) =
-                if surprise { (4000.0, 100.0, 0.0) } else { (FIT_REACH as f32, 1.5, 0.1) };
+                if surprise { (4000.0, 100.0, 0.0) } else { (f32::from(FIT_REACH), 1.5, 0.1) };
             let error = (range - predicted.values[k]).abs().min(farthest);
             scales[k] += scale_rate * (responsible[k] + always) * (error - scales[k]);
             scales[k] = scales[k].max(least);
@@ -227,14 +227,4 @@ impl<const P: usize> Weights<P> {
         weights.iter_mut().for_each(|weight| *weight *= even_out);
         responsible
     }
-}
-
-/// `more` plus the products, summed in an order that suits vector units.
-#[inline(always)]
-fn sum_of_products<const P: usize>(more: f32, a: &[f32; P], b: &[f32; P]) -> f32 {
-    let mut sums = [more, 0.0, 0.0, 0.0];
-    for k in 0..P {
-        sums[k % 4] += a[k] * b[k];
-    }
-    (sums[0] + sums[1]) + (sums[2] + sums[3])
 }

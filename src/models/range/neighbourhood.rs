@@ -1,6 +1,6 @@
 //! The ranges around a cell.
 
-use super::{ACTIVITY_LEVELS, FEATURE_REACH, FEATURES};
+use super::{ACTIVITY_LEVELS, FEATURE_REACH, FEATURES, TYPICAL_RANGE};
 
 /// The coded ranges that the prediction of a cell uses; 0 where there is no return.
 pub struct Window {
@@ -39,7 +39,7 @@ impl Window {
         let or = |range: f64, other: f64| if range > 0.0 { range } else { other };
         let &[nww, nw, n, ne, nee] = self.rows[1][column..].first_chunk().unwrap_or(&[0.0; 5]);
         let &[_, nnw, nn, nne, _] = self.rows[2][column..].first_chunk().unwrap_or(&[0.0; 5]);
-        let west = or(self.left[0], or(n, or(nw, or(ne, TYPICAL_RANGE))));
+        let west = or(self.left[0], or(n, or(nw, or(ne, TYPICAL_RANGE.into()))));
         let west2 = or(self.left[1], west);
         let west3 = or(self.left[2], west2);
         let north = or(n, or(ne, or(nw, west)));
@@ -79,9 +79,6 @@ pub struct Neighbourhood {
     farther: [f64; 4],
 }
 
-/// The range assumed if nothing is known, in steps.
-const TYPICAL_RANGE: f64 = 3000.0;
-
 impl Neighbourhood {
     /// Differences to the left neighbour.
     pub fn features(&self) -> [f32; FEATURES] {
@@ -106,7 +103,7 @@ impl Neighbourhood {
     /// A range as its difference to the left neighbour.
     #[inline]
     pub fn feature(&self, range: f64) -> f32 {
-        (range - self.west).clamp(-FEATURE_REACH, FEATURE_REACH) as f32
+        (range - self.west).clamp(-f64::from(FEATURE_REACH), FEATURE_REACH.into()) as f32
     }
 
     /// The roughness of the surroundings, in octaves.

@@ -1,6 +1,7 @@
 //! Information in the residuals of the least-squares fit: neighbouring ones are similar, and surfaces of some
 //! intensities are measured with a bias, and with more noise. FORMAT.md 7.4.
 
+use crate::ground::lanes::LANES;
 use crate::models::quantise::signed_level;
 use crate::models::range::site::intensity_change;
 
@@ -9,8 +10,6 @@ use crate::models::range::site::intensity_change;
 const LEFT: usize = 12;
 const ABOVE: usize = 8;
 const ABOVE_TO_THE_LEFT: usize = 3;
-/// Number of values that a vector unit of any processor computes with at once.
-const LANES: usize = 4;
 /// The filter's learning rate, and the value added to the power of its input, in square steps.
 const FILTER_RATE: f32 = 0.015;
 const LEAST_POWER: f32 = 20.0;

@@ -2,7 +2,7 @@
 
 use super::errors::ErrorTrack;
 use super::neighbourhood::Neighbourhood;
-use super::{EDGE, ERROR_LEVELS, ErrorLevels, FEATURES, FIT_REACH, PREDICTORS, VIEWS};
+use super::{EDGE, ERROR_LEVELS, ErrorLevels, FEATURES, PREDICTORS, VIEWS, within_reach};
 use crate::models::least_squares::LeastSquares;
 use crate::models::quantise::signed_level;
 
@@ -35,8 +35,8 @@ impl Site {
         column: usize,
     ) -> Site {
         let features = near.features();
-        let edge =
-            usize::from(features[0].abs() > EDGE) + 2 * usize::from((features[3] - features[4]).abs() > EDGE);
+        let is_edge = |difference: f32| usize::from(difference.abs() > EDGE.into());
+        let edge = is_edge(features[0]) + 2 * is_edge(features[3] - features[4]);
         let error_level = error_levels.of(errors.expected(column));
         let context = near.activity_level() * ERROR_LEVELS + error_level;
         let coarse_error = error_level * 8 / ERROR_LEVELS;
@@ -89,7 +89,7 @@ impl Site {
     /// What a fit that predicted `fit` learns from the coded range: its target, and the weight.
     #[inline(always)]
     pub fn sample(&self, fit: f64, range: f64) -> (f32, f32) {
-        let target = (range - self.near.west).clamp(-FIT_REACH, FIT_REACH);
+        let target = within_reach(range - self.near.west);
         let error = range - self.near.west - fit;
         let weight = 1.0 / (25.0 + error * error);
         (target as f32, weight as f32)

@@ -14,11 +14,10 @@ use crate::ground::grid::Grid;
 use crate::ground::lanes::dispatch;
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::models::Bins;
+use crate::models::range::TYPICAL_RANGE;
 use crate::models::range::residuals::{Classes, Residuals, Rows};
-use prediction::{Before, FIT_REACH, Fits, Guess, Near};
+use prediction::{Before, Fits, Guess, Near, within_reach};
 
-/// The range assumed if nothing is known, in steps.
-const TYPICAL_RANGE: i32 = 3000;
 /// The miss assumed at the start of a row, in steps.
 const TYPICAL_MISS: i32 = 20;
 /// Misses count as at most this many steps.
@@ -99,8 +98,8 @@ impl<C: TokenCoder, const FITTED: bool, const SIMPLE: bool> NullaryFnOnce
         let (bin, expected) = if SIMPLE { (1, None) } else { (bin, expected) };
         let width = occupancy.columns();
         // For each column: the last ranges, and the size of the misses.
-        let mut ranges = vec![TYPICAL_RANGE; width + MARGIN];
-        let mut ranges2 = vec![TYPICAL_RANGE; if FITTED { width } else { 0 }];
+        let mut ranges = vec![i32::from(TYPICAL_RANGE); width + MARGIN];
+        let mut ranges2 = vec![i32::from(TYPICAL_RANGE); if FITTED { width } else { 0 }];
         let mut misses = vec![TYPICAL_MISS; width + MARGIN];
         let mut rows = Rows::new(if FITTED { width } else { 0 });
         for row in 0..occupancy.rows() {
@@ -137,7 +136,7 @@ impl<C: TokenCoder, const FITTED: bool, const SIMPLE: bool> NullaryFnOnce
                     }
                 };
                 let offset = hint.as_ref().map_or(0.0, |hint| hint.offset);
-                let fit = (guess.fit + offset).clamp(-FIT_REACH, FIT_REACH);
+                let fit = within_reach(guess.fit + offset);
                 let base = i64::from(guess.from + (fit + 1000.5) as i32 - 1000).clamp(least, most) as i32;
                 let bins = Bins::around(i64::from(base), i64::from(bin));
                 let off = zigzag(bins.of(i64::from(*range)) - bins.central);

@@ -5,7 +5,7 @@ use crate::models::least_squares::BatchedLeastSquares;
 use crate::models::range::back::SURROUNDING_FEATURES;
 use crate::models::range::site::Site;
 use crate::models::range::{
-    ALL_FEATURES, EDGES, ERROR_LEVELS, FEATURE_REACH, FEATURES, FIT_REACH, REFERENCE_FEATURES,
+    ALL_FEATURES, EDGES, ERROR_LEVELS, FEATURE_REACH, FEATURES, LONG_MEMORY, REFERENCE_FEATURES, within_reach,
 };
 
 /// Number of features of the wide fit: of near and farther neighbours, of intensities, of the reference and
@@ -24,7 +24,6 @@ const STRETCH: usize = 64;
 /// Weights of older samples. Fits to the last few returns forget quickly, and are solved again after every
 /// `SOON` samples.
 const SHORT_MEMORY: f32 = 0.97;
-const LONG_MEMORY: f32 = 0.998;
 const SOON: u32 = 8;
 
 /// The fits.
@@ -125,14 +124,14 @@ impl Fits {
             site.errors[2],
             ALWAYS,
         ];
-        let blend_features =
-            differences.map(|difference| difference.clamp(-FEATURE_REACH, FEATURE_REACH) as f32);
+        let blend_features = differences
+            .map(|difference| difference.clamp(-f64::from(FEATURE_REACH), FEATURE_REACH.into()) as f32);
         let blend = within_reach(self.blend[site.error_level].predict(&blend_features));
         Fitted {
             recent,
             local,
             blend,
-            hinted: (blend + hint).clamp(-FIT_REACH, FIT_REACH),
+            hinted: within_reach(blend + hint),
             wide,
             wide_fit,
             stretch,
@@ -154,11 +153,6 @@ impl Fits {
         let (target, weight) = site.sample(fitted.blend, range);
         self.blend[site.error_level].learn(&fitted.blend_features, target, weight);
     }
-}
-
-#[inline]
-fn within_reach(fit: f32) -> f64 {
-    f64::from(fit).clamp(-FIT_REACH, FIT_REACH)
 }
 
 /// The differences between the cell's intensity and those to the left and above, in levels and in a measure

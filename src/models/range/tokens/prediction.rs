@@ -6,6 +6,7 @@ use super::MOST_MISS;
 use crate::ground::grid::Grid;
 use crate::models::LeastSquares;
 use crate::models::magnitude::magnitude_level;
+use crate::models::range::{EDGE, EDGES, FEATURE_REACH, FIT_REACH, LONG_MEMORY};
 
 /// Classes of the expected miss, if the left neighbour is the prediction.
 pub const MISS_LEVELS: usize = 40;
@@ -17,13 +18,12 @@ pub const RANGE_CONTEXTS: usize = FITTED_MISS_LEVELS * ACTIVITY_LEVELS;
 /// Number of features from the neighbours alone, and with the frame before.
 const FEATURES: usize = 8;
 const REFERRING_FEATURES: usize = 16;
-/// Kinds of edges; each has its own least-squares fits.
-const EDGES: usize = 4;
-/// A difference of ranges, in steps, that counts as an edge, or as a change from the frame before.
-const EDGE: i32 = 60;
-/// Features and predictions are limited to this many steps from their base.
-const FEATURE_REACH: i32 = 300;
-pub const FIT_REACH: f32 = 400.0;
+
+/// A prediction in steps from what it is relative to, limited to [`FIT_REACH`].
+#[inline(always)]
+pub fn within_reach(steps: f32) -> f32 {
+    steps.clamp(-f32::from(FIT_REACH), FIT_REACH.into())
+}
 
 /// The least-squares fits.
 #[derive(Clone)]
@@ -35,7 +35,10 @@ pub struct Fits {
 
 impl Default for Fits {
     fn default() -> Self {
-        Fits { near: from_fn(|_| LeastSquares::new(0.998)), before: from_fn(|_| LeastSquares::new(0.998)) }
+        Fits {
+            near: from_fn(|_| LeastSquares::new(LONG_MEMORY)),
+            before: from_fn(|_| LeastSquares::new(LONG_MEMORY)),
+        }
     }
 }
 
@@ -45,7 +48,7 @@ impl Fits {
     pub fn learn(&mut self, guess: &Guess, range: i32) {
         let off = (range - guess.from) as f32;
         let error = off - guess.fit;
-        let (target, weight) = (off.clamp(-FIT_REACH, FIT_REACH), 1.0 / (25.0 + error * error));
+        let (target, weight) = (within_reach(off), 1.0 / (25.0 + error * error));
         match &guess.by {
             By::West => {}
             By::Fit { edge, features } => self.near[*edge].learn(features, target, weight),
@@ -86,7 +89,7 @@ impl Before {
     pub fn at(expected: &Grid<u32>, cell: (usize, usize), west: i32) -> Option<Self> {
         let at = |down, right| expected.beside(cell, down, right) as i32;
         let (here, west_before) = (at(0, 0), at(0, -1));
-        let is_as_before = here > 0 && west_before > 0 && (west - west_before).abs() <= EDGE;
+        let is_as_before = here > 0 && west_before > 0 && (west - west_before).abs() <= EDGE.into();
         is_as_before.then(|| Before {
             here,
             west: west_before,
@@ -141,7 +144,7 @@ impl Guess {
         ]
         .map(|range| feature(range, near.west));
         let edge = near.edge();
-        let fit = fits.near[edge].predict(&features).clamp(-FIT_REACH, FIT_REACH);
+        let fit = within_reach(fits.near[edge].predict(&features));
         let context = near.context(expected, bin);
         Guess { from: near.west, fit, context, by: By::Fit { edge, features } }
     }
@@ -170,7 +173,7 @@ impl Guess {
         ]
         .map(|range| feature(range, before.here));
         let edge = near.edge();
-        let fit = fits.before[edge].predict(&features).clamp(-FIT_REACH, FIT_REACH);
+        let fit = within_reach(fits.before[edge].predict(&features));
         let context = near.context(expected, bin);
         Guess { from: before.here, fit, context, by: By::Before { edge, features } }
     }
@@ -188,8 +191,8 @@ impl Near {
     #[inline(always)]
     fn edge(&self) -> usize {
         let from_west = |range| feature(range, self.west);
-        usize::from((self.west2 - self.west).abs() > EDGE)
-            + 2 * usize::from((from_west(self.north) - from_west(self.north_west)).abs() > EDGE as f32)
+        usize::from((self.west2 - self.west).abs() > EDGE.into())
+            + 2 * usize::from((from_west(self.north) - from_west(self.north_west)).abs() > EDGE.into())
     }
 
     /// The context for least squares.
@@ -202,7 +205,7 @@ impl Near {
 
 #[inline(always)]
 fn feature(range: i32, from: i32) -> f32 {
-    (range - from).clamp(-FEATURE_REACH, FEATURE_REACH) as f32
+    (range - from).clamp(-i32::from(FEATURE_REACH), FEATURE_REACH.into()) as f32
 }
 
 /// The least miss, in sixteenths of a bin, that the given context of least squares expects.
