@@ -1,4 +1,5 @@
-//! Consistency of documents and sources: folders use only those listed before them, and cited sections exist.
+//! Consistency of documents and sources: folders use only those listed before them, files that code or parse parts of a
+//! stream cite their sections of FORMAT.md, and cited sections exist.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -181,4 +182,31 @@ fn sections_of_the_format_that_are_cited_exist() {
         cited("// FORMAT 8.5, 8.16, equation 9, and FORMAT.md 6.1 to 6.3."),
         ["8.5", "8.16", "6.1", "6.3"]
     );
+}
+
+/// The description at the beginning of a file, in one line.
+fn description(text: &str) -> String {
+    text.lines().map_while(|line| line.strip_prefix("//!")).collect()
+}
+
+#[test]
+fn files_that_code_or_parse_parts_of_a_stream_cite_the_format() {
+    const SIGNS: [&str; 4] = ["BitCoder", "TokenCoder", "fn read_from", "fn from_payload"];
+    // The formats of the compressors are described elsewhere, and what experiments code is in no stream.
+    const EXCEPTIONS: [&str; 2] = ["backend/", "study/"];
+    let (mut count, mut wrong) = (0, Vec::new());
+    for (name, text) in sources() {
+        let is_exception = EXCEPTIONS.iter().any(|folder| name.starts_with(folder));
+        let has_sign = |line: &String| SIGNS.iter().any(|sign| line.contains(sign));
+        if is_exception || !code(&name, &text).iter().any(has_sign) {
+            continue;
+        }
+        count += 1;
+        if cited(&description(&text)).is_empty() {
+            wrong.push(format!("src/{name}"));
+        }
+    }
+    assert!(wrong.is_empty(), "no section of FORMAT.md is cited at the beginning of:\n{}", wrong.join("\n"));
+    assert!(count > 60, "only {count} files are found");
+    assert_eq!(cited(&description("//! Points. FORMAT.md\n//! 8.4.\n\nuse std::fs;")), ["8.4"]);
 }

@@ -1,4 +1,4 @@
-//! Reads a stream: from front to back, or group by group through its index.
+//! Reads a stream: from front to back, or group by group through its index. FORMAT.md 2.
 
 use std::io::{Read, Seek};
 use std::ops::Range;

@@ -1,4 +1,4 @@
-//! Writes a stream from front to back.
+//! Writes a stream from front to back. FORMAT.md 2.
 
 use std::io::Write;
 

@@ -1,4 +1,4 @@
-//! Entropy coding: adaptive binary arithmetic coding, and static coding of tokens.
+//! Entropy coding: adaptive binary arithmetic coding, and static coding of tokens. FORMAT.md 5 and 6.
 //!
 //! Every syntax element is written once, as a function over a [`BitCoder`]: the encoder's coder takes the
 //! bits, the decoder's returns them. The models turn what is already known into the probability of the next

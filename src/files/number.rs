@@ -1,4 +1,4 @@
-//! Numbers as text, by the rules of common programs.
+//! Numbers as text, by the rules of common programs. FORMAT.md 9, "Text".
 
 use std::io::Write;
 

@@ -1,4 +1,4 @@
-//! Records as bytes and as a cloud of points.
+//! Records as bytes and as a cloud of points. FORMAT.md 9.
 
 use std::ops::Range;
 

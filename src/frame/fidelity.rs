@@ -1,4 +1,4 @@
-//! The fidelity of decoded points: how accurately positions and intensities are restored.
+//! The fidelity of decoded points: how accurately positions and intensities are restored. FORMAT.md 8.10.
 
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, read_within, write_unsigned};

@@ -1,4 +1,4 @@
-//! How the context coder models the parts of a frame, from fast to thorough.
+//! How the context coder models the parts of a frame, from fast to thorough. FORMAT.md 8.10.
 
 use crate::ground::error::{Error, Result};
 

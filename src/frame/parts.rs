@@ -1,5 +1,5 @@
 //! A scan in the form in which it is coded: the range image, and the data that turn it into the file's
-//! points.
+//! points. FORMAT.md 4.2 and 9.
 
 use super::bound::Bound;
 use super::fidelity::{Intensity, Positions};

@@ -1,4 +1,4 @@
-//! The sections of a frame, processed one after the other in the same order on both sides.
+//! The sections of a frame, processed one after the other in the same order on both sides. FORMAT.md 2.6.
 
 use super::stages::StageReport;
 use crate::article::image_coding::ImageConfig;

@@ -1,4 +1,5 @@
 //! Inter prediction (article, V): prediction of the current frame from the frame before.
+//! FORMAT.md 4.3 and 8.13.
 
 pub mod registration;
 

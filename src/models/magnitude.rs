@@ -1,4 +1,4 @@
-//! Magnitudes in logarithmic classes, as contexts of tokens.
+//! Magnitudes in logarithmic classes, as contexts of tokens. FORMAT.md 8.16, "Tokens of ranges".
 
 /// The class of a magnitude: four classes an octave; the last class includes all higher magnitudes.
 pub fn magnitude_level(magnitude: u32, levels: usize) -> usize {

@@ -1,5 +1,6 @@
 //! The bitmap of borders, in blocks of 4 x 4 cells. For each row of blocks, first which of them contain a
 //! border, then the bits of those that do, line by line, so that everything above a bit is known.
+//! FORMAT.md 8.11, "Borders".
 
 use super::returns::Returns;
 use crate::entropy::{BitCoder, MixedBits};

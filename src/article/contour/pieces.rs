@@ -1,4 +1,4 @@
-//! The pieces between borders.
+//! The pieces between borders. FORMAT.md 8.11, "Pieces".
 
 use super::returns::Returns;
 

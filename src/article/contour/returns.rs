@@ -1,5 +1,5 @@
 //! The returns of an image, numbered in scan order, each with its neighbours. Cells without a return are not
-//! represented, so a border across them costs nothing.
+//! represented, so a border across them costs nothing. FORMAT.md 8.11.
 
 use std::ops::Range;
 

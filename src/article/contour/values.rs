@@ -1,4 +1,4 @@
-//! The region of each piece.
+//! The region of each piece. FORMAT.md 8.11, "Values".
 
 use super::returns::Returns;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};

@@ -1,4 +1,5 @@
 //! JPEG (ITU-T T.81, baseline), by the crate `image`, for one pass: values are scaled to 8 bits by a step.
+//! FORMAT.md 8.14.
 //!
 //! The payload is one byte for the quality, then the coded data of the scan.
 

@@ -1,4 +1,5 @@
 //! JPEG 2000 (ITU-T T.800), by OpenJPEG translated to Rust (crates `openjp2` and `jpeg2k`), for one pass.
+//! FORMAT.md 8.14.
 //!
 //! The 5/3 wavelet is used at every rate: it works on integers, so that all decoders return the same samples;
 //! it can be lossless; and it leaves 1 to 20 % less error on range images than the 9/7 wavelet. The payload

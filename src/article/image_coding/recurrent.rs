@@ -1,4 +1,5 @@
 //! Recurrent coding (article, VI-C, Fig. 14): each pass codes the remaining error of those before.
+//! FORMAT.md 8.14.
 
 use super::plane::Plane;
 use super::{ImageCodec, MOST_PASSES, jpeg, jpeg2000};

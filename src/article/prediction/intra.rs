@@ -1,4 +1,5 @@
 //! Intra prediction (article, IV-C): each return is predicted from the model of its region.
+//! FORMAT.md 8.11 and 8.12.
 
 use super::each_return;
 use super::partition::{Judge, Region};

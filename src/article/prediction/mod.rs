@@ -1,4 +1,4 @@
-//! The prediction of ranges; the residuals are coded by a back-end or an image coder.
+//! The prediction of ranges; the residuals are coded by a back-end or an image coder. FORMAT.md 8.13.
 
 pub mod intra;
 pub mod ransac;

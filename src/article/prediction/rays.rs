@@ -1,4 +1,4 @@
-//! The rays of a range image.
+//! The rays of a range image. FORMAT.md 8.12.
 
 use super::surface::SurfaceModel;
 use crate::scanner::Hdl64;

@@ -1,5 +1,6 @@
 //! Maps each number below 4096 to a token, so that each token has as many numbers as its frequency. Walker's
 //! alias method keeps the table small: equal buckets, each shared by at most two tokens.
+//! FORMAT.md 5.5, "Alias method".
 
 use super::frequencies::{Frequencies, SCALE, TOKENS};
 

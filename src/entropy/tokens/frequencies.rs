@@ -1,4 +1,4 @@
-//! How often each token of a context occurs, as shares of 4096.
+//! How often each token of a context occurs, as shares of 4096. FORMAT.md 5.5, "Tables".
 
 use std::sync::LazyLock;
 

@@ -1,5 +1,5 @@
 //! Numbers as tokens: each number below [`DIRECT`] has a token of its own; a larger one shares a token with
-//! all numbers of the same octave that agree in the two bits below the highest.
+//! all numbers of the same octave that agree in the two bits below the highest. FORMAT.md 5.5, "Reading".
 
 /// Numbers below this have a token of their own.
 const DIRECT: u64 = 32;

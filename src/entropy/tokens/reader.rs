@@ -1,4 +1,4 @@
-//! Reads tokens.
+//! Reads tokens. FORMAT.md 5.5.
 
 use super::alias::{Bucket, look_up};
 use super::frequencies::{ESCAPE, FrequencyModel, SCALE, SCALE_BITS, TOKENS};

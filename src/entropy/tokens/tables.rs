@@ -1,6 +1,6 @@
 //! The tables of a section, one for each context. They persist for a group and learn from each frame, so that
 //! only the first frame has to transmit many. Lookup tables are computed from the frequencies when they are
-//! first needed.
+//! first needed. FORMAT.md 5.5, "Adaptation".
 
 use std::sync::{Arc, OnceLock};
 

@@ -1,4 +1,4 @@
-//! Collects tokens and writes them.
+//! Collects tokens and writes them. FORMAT.md 5.5.
 
 use super::frequencies::{ESCAPE, Frequencies, FrequencyModel, SCALE_BITS, TOKENS};
 use super::tables::TokenTables;

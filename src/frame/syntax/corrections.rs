@@ -1,5 +1,5 @@
 //! The positions of the returns: those of the formula, corrected as far as necessary; and those of the
-//! blanks.
+//! blanks. FORMAT.md 8.7 and 8.19.
 
 use crate::container::SectionKind;
 use crate::entropy::TokenTables;

@@ -1,4 +1,4 @@
-//! The columns of the range image, and its occupancy.
+//! The columns of the range image, and its occupancy. FORMAT.md 8.2 and 8.3.
 
 use std::mem::take;
 

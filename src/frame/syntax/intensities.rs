@@ -1,4 +1,4 @@
-//! The intensities of the returns, then of the strays and blanks.
+//! The intensities of the returns, then of the strays and blanks. FORMAT.md 8.5 and 8.16.
 
 use std::mem::take;
 

@@ -1,5 +1,5 @@
 //! The ranges of the returns: coded by the context coder, or as residuals by a back-end or an image coder
-//! (article, IV-C, IV-D and VI-C).
+//! (article, IV-C, IV-D and VI-C). FORMAT.md 8.6 and 8.11 to 8.14.
 
 use super::returns::Part;
 use crate::article::contour::ContourModel;

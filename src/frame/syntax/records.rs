@@ -1,4 +1,4 @@
-//! The order of the points in the file, and the channels of their records.
+//! The order of the points in the file, and the channels of their records. FORMAT.md 8.8 and 8.9.
 
 use std::mem::take;
 

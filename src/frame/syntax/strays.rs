@@ -1,4 +1,4 @@
-//! Points outside any range image.
+//! Points outside any range image. FORMAT.md 8.4.
 
 use std::cell::LazyCell;
 

@@ -1,4 +1,4 @@
-//! Rigid motions, and their form in the stream.
+//! Rigid motions, and their form in the stream. FORMAT.md 4.3, "Motion".
 
 /// The unit of quantised angles, in radians: 0.8 mm at 100 m.
 const ANGLE_UNIT: f64 = 1.0 / (1 << 17) as f64;

@@ -1,4 +1,5 @@
 //! The surfaces in a range image: the position of each return, and the orientation of the surface there.
+//! FORMAT.md 4.3, "Surfels".
 
 use crate::ground::grid::Grid;
 use crate::scanner::Alignment;

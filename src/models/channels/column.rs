@@ -1,4 +1,4 @@
-//! One column: a value of one type for each record.
+//! One column: a value of one type for each record. FORMAT.md 8.9, "Columns of channels".
 
 use std::borrow::Cow;
 

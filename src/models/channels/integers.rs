@@ -1,6 +1,6 @@
 //! Integers, one per record, each predicted in several ways: which predictions were right shows which to try first
 //! for the next one. If none of those tried is right, the difference from the prediction with the smallest recent
-//! error is coded.
+//! error is coded. FORMAT.md 8.9, "Integers".
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel, MixedBits};
 use crate::ground::varint::{unzigzag, zigzag};

@@ -1,4 +1,5 @@
 //! How a column is coded: the encoder's choice, as stored in the stream.
+//! FORMAT.md 8.9, "Columns of channels".
 
 use super::RecordContext;
 use super::rules::Rule;

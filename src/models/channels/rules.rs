@@ -1,5 +1,6 @@
 //! Integers that nearly all follow from their places by one rule. A bit per integer says whether it follows the rule,
 //! unless the encoder declared that it does; other predictors are consulted only for integers that do not.
+//! FORMAT.md 8.9, "Rules".
 
 use super::integers::{ENTRIES, IntegersModel, Site, slot};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};

@@ -1,5 +1,5 @@
 //! Intensity levels, coded from many views of their surroundings, with hashed lines of counters, and a
-//! least-squares fit, mixed in two layers.
+//! least-squares fit, mixed in two layers. FORMAT.md 8.5, "Levels, if `coder` is 1".
 //!
 //! Beams respond differently: some never give a level that another beam often gives, and the same surface may
 //! get one of several levels, as the laser's power varies. Views of exact levels together with the beam learn

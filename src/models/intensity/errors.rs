@@ -1,4 +1,4 @@
-//! The prediction errors around a return.
+//! The prediction errors around a return. FORMAT.md 8.5, "Levels, if `coder` is 1".
 
 /// The error assumed where nothing was coded yet, in context levels.
 const TYPICAL_ERROR: f32 = 4.0;

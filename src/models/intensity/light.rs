@@ -1,5 +1,5 @@
 //! Intensity levels, mixed from two views of the preceding levels and one of the reference: the fastest of
-//! the adaptive models.
+//! the adaptive models. FORMAT.md 8.5, "Levels, unless `coder` is 1".
 
 use std::hint::select_unpredictable;
 use std::mem::take;

@@ -1,4 +1,4 @@
-//! The intensities around a return.
+//! The intensities around a return. FORMAT.md 8.5, "Neighbours".
 
 use crate::inter::Reference;
 

@@ -1,4 +1,4 @@
-//! The grid of intensities: levels are multiples of an equal part of 1.0.
+//! The grid of intensities: levels are multiples of an equal part of 1.0. FORMAT.md 8.5.
 
 use crate::models::numbers::{NumberGrid, Scale};
 use crate::scan::Scalar;

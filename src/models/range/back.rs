@@ -1,4 +1,4 @@
-//! The reference around a cell, and its recent errors.
+//! The reference around a cell, and its recent errors. FORMAT.md 8.6, "P frames".
 
 use super::neighbourhood::Neighbourhood;
 use super::{FEATURE_REACH, REFERENCE_FEATURES, REFERENCE_LEVELS};

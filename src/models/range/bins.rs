@@ -1,5 +1,6 @@
 //! Bins of ranges, for near-lossless coding, where only the bin is coded. The bins are centred on the
 //! prediction, as in JPEG-LS (ITU-T T.87, A.4), so that accurately predicted ranges cost next to nothing.
+//! FORMAT.md 8.6, "Bins".
 
 /// Bins of equal width. Bin `i` holds the ranges from `origin + i * width` on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,5 +1,6 @@
 //! The deep model of ranges: more least-squares fits, among them one for each stretch of columns; several
 //! sets of weights for the same predictors, each with its own contexts; and mixing in two layers.
+//! FORMAT.md 8.6, "deep".
 //!
 //! Cells with and without a reference are treated alike: the reference, if there is one, contributes
 //! contexts.

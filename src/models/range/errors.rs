@@ -1,4 +1,4 @@
-//! The prediction errors around a cell.
+//! The prediction errors around a cell. FORMAT.md 8.6, "Learning".
 
 use super::FEATURE_REACH;
 

@@ -1,4 +1,4 @@
-//! Coding one range by repeated halving.
+//! Coding one range by repeated halving. FORMAT.md 8.6, "Coding".
 
 use super::bins::Bins;
 use super::mixture::{Interval, Mixture, Predicted};

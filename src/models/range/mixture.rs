@@ -1,5 +1,5 @@
 //! A mixture of predictors, each with a weight and a scale in each context. The predictions are mixed by one
-//! or more sets of weights.
+//! or more sets of weights. FORMAT.md 8.6, "Coding" and "Learning".
 
 use super::{FIT, FIT_REACH, SURPRISE};
 use crate::entropy::Logistic;

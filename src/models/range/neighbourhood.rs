@@ -1,4 +1,4 @@
-//! The ranges around a cell.
+//! The ranges around a cell. FORMAT.md 8.6, "Neighbours".
 
 use super::{ACTIVITY_LEVELS, FEATURE_REACH, FEATURES, TYPICAL_RANGE};
 

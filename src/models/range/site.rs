@@ -1,4 +1,4 @@
-//! A cell to be coded, described by its neighbours.
+//! A cell to be coded, described by its neighbours. FORMAT.md 8.6, "Neighbours".
 
 use super::errors::ErrorTrack;
 use super::neighbourhood::Neighbourhood;

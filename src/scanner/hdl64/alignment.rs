@@ -1,4 +1,5 @@
 //! Alignment of the rows of a range image, so that cells above one another have the same direction.
+//! FORMAT.md 4.3, "Surfels".
 
 use crate::ground::grid::Grid;
 use crate::scanner::Hdl64;

@@ -1,4 +1,4 @@
-//! The order of a range image's returns in the file.
+//! The order of a range image's returns in the file. FORMAT.md 4.2.
 
 use pulp::NullaryFnOnce;
 

@@ -1,4 +1,4 @@
-//! The formula of one beam; [`Hdl64`](crate::scanner::Hdl64) states it in full.
+//! The formula of one beam; [`Hdl64`](crate::scanner::Hdl64) states it in full. FORMAT.md 3.2, "Formula".
 
 use std::f64::consts::TAU;
 

@@ -1,4 +1,4 @@
-//! The positions of the returns of a range image by the formula.
+//! The positions of the returns of a range image by the formula. FORMAT.md 8.7.
 
 use pulp::NullaryFnOnce;
 

@@ -1,5 +1,6 @@
 //! Undoing motion compensation. There are three kinds: by the motion of a turn, here; firing by firing
 //! through the coordinates of a map, in [`world`]; and by the points' time stamps, in [`by_time`].
+//! FORMAT.md 8.15.
 //!
 //! A moving scanner sees each point of a turn from a different position. Some data sets hold points that were
 //! moved to where they would have been seen from the position in the middle of the turn (KITTI odometry).

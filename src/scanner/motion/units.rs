@@ -1,4 +1,4 @@
-//! The coding of corrections of coordinates, in float32 units.
+//! The coding of corrections of coordinates, in float32 units. FORMAT.md 8.15.
 
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::ground::varint::{unzigzag, zigzag};

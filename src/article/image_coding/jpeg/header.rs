@@ -1,6 +1,6 @@
 //! The header of a baseline JPEG image of one component (ITU-T T.81, annex B). It follows from data that the
 //! decoder has, so it is not in the stream and cannot be damaged: the tables of annex K, with the
-//! quantisation tables scaled by the quality as the Independent JPEG Group does.
+//! quantisation tables scaled by the quality as the Independent JPEG Group does. FORMAT.md 8.14.
 
 /// The end marker of the image.
 pub const END: [u8; 2] = [0xff, 0xd9];

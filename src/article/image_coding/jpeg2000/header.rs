@@ -1,6 +1,6 @@
 //! The main header of the codestream (ITU-T T.800, annex A). It follows from data that the decoder has, so it
 //! is not in the stream and cannot be damaged: one tile of one component, one layer, code-blocks of 64 x 64,
-//! the reversible wavelet.
+//! the reversible wavelet. FORMAT.md 8.14.
 
 use super::MOST_BITS;
 use crate::ground::error::{Error, Result};

@@ -1,4 +1,4 @@
-//! A least-squares fit of the intensity level, and its reliability.
+//! A least-squares fit of the intensity level, and its reliability. FORMAT.md 8.5, "Levels, if `coder` is 1".
 
 use super::surroundings::{FEATURES, Surroundings};
 use crate::entropy::Logistic;

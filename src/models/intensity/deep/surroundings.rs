@@ -1,4 +1,5 @@
 //! The intensity levels around a return, with gaps filled from their neighbours.
+//! FORMAT.md 8.5, "Levels, if `coder` is 1".
 
 use crate::models::intensity::neighbours::{IntensityNeighbours, TYPICAL_LEVEL};
 

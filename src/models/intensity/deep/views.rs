@@ -1,4 +1,5 @@
 //! Views of the surroundings of an intensity, each of which selects a context.
+//! FORMAT.md 8.5, "Levels, if `coder` is 1".
 
 use super::surroundings::Surroundings;
 use crate::entropy::hash;

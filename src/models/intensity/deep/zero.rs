@@ -1,5 +1,5 @@
 //! Whether an intensity is 0 because the return was too weak. This is a case of its own, not the lowest of a
-//! surface's possible levels.
+//! surface's possible levels. FORMAT.md 8.5, "Levels, if `coder` is 1".
 
 use super::surroundings::Surroundings;
 use super::views::NARROW_SECTOR;

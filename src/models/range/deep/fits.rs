@@ -1,4 +1,4 @@
-//! Several least-squares fits, and one that blends their predictions.
+//! Several least-squares fits, and one that blends their predictions. FORMAT.md 8.6, "deep".
 
 use super::Referred;
 use crate::models::least_squares::BatchedLeastSquares;

@@ -1,4 +1,4 @@
-//! Halving one range under a mixture with several sets of weights.
+//! Halving one range under a mixture with several sets of weights. FORMAT.md 8.6, "deep".
 
 use super::site::SetContexts;
 use super::{DeepBits, PREDICTORS, SETS, VIEWS};

@@ -1,4 +1,4 @@
-//! A cell for the deep model: predictions and contexts.
+//! A cell for the deep model: predictions and contexts. FORMAT.md 8.6, "deep".
 
 use super::fits::Fitted;
 use super::{KINDS, MIXERS, OWN_LEVELS, PREDICTORS, ROWS, SETS, VIEWS};

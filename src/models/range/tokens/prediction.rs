@@ -1,4 +1,4 @@
-//! The prediction of a range, and the context of its miss.
+//! The prediction of a range, and the context of its miss. FORMAT.md 8.16, "Fitted tokens of ranges".
 
 use std::array::from_fn;
 

@@ -1,5 +1,5 @@
 //! The assumed distribution of misses before any has occurred, so that small scans need not transmit tables:
-//! a bell with long tails, as wide as the miss that the context expects.
+//! a bell with long tails, as wide as the miss that the context expects. FORMAT.md 8.16, "Initial tables".
 
 use std::sync::LazyLock;
 

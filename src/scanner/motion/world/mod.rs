@@ -11,6 +11,7 @@
 //! Q and o describe the position of the file's axes in the map. The pose is linear between [`Knot`]s in time;
 //! the first firings have poses of their own. `undo` estimates all this from the points alone. Deviations
 //! from the formula are listed as corrections: steps of the lattices first, then float32 units.
+//! FORMAT.md 8.15, "Through a map".
 
 mod anchor;
 mod axes;
