@@ -133,9 +133,9 @@ impl Counter {
         self.0 & COUNT_MASK == 0
     }
 
-    /// The same probability, as if based on at most `most` bits, which is at least 4. It is kept between
-    /// 1/1024 and 1023/1024: a low count means a high rate, whose rounding would take a probability of nearly
-    /// 0 below 0.
+    /// The counter with the probability of this one, as if based on at most `most` bits, which is at least 4.
+    /// The probability is kept between 1/1024 and 1023/1024: a low count means a high rate, whose rounding
+    /// would take a probability of nearly 0 below 0.
     #[inline]
     pub fn based_on(self, most: u32) -> Self {
         const SUREST: u32 = u32::MAX / 1024 + 1;

@@ -60,7 +60,7 @@ impl<R: Read> ArrivingFrames<R> {
         }
     }
 
-    /// The same reader, but names may repeat: for frames that do not become one stream.
+    /// This reader, but names may repeat: for frames that do not become one stream.
     #[must_use]
     pub fn with_any_names(self) -> Self {
         ArrivingFrames { names: None, ..self }

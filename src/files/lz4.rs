@@ -13,7 +13,7 @@ use lz4_flex::block::decompress_into_with_dict;
 const MAGIC: [u8; 4] = 0x184d_2204_u32.to_le_bytes();
 /// The descriptor of a frame of independent blocks of 64 KiB, and its checksum; for values that fill one block.
 const INDEPENDENT: [u8; 3] = [0x60, 0x40, 0x82];
-/// The same for blocks that refer to those before them.
+/// The descriptor of a frame of blocks that refer to those before them, and its checksum.
 const LINKED: [u8; 3] = [0x40, 0x40, 0xc0];
 /// The values of a block, in bytes.
 const BLOCK: usize = 64 << 10;

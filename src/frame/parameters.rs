@@ -281,7 +281,7 @@ impl RangeCoder {
         RangeCoder::Context { modelling, range_bits: EXACT_RANGE_BITS, bin: 1, between: false }
     }
 
-    /// The same coder with ranges to within half a bin of `bin` steps, if it is the context coder.
+    /// This coder with ranges to within half a bin of `bin` steps, if it is the context coder.
     pub(crate) fn in_bins(self, bin: u32) -> Self {
         match self {
             RangeCoder::Context { modelling, range_bits, .. } => {

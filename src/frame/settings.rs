@@ -69,8 +69,8 @@ pub enum FrameOrder {
 /// How the prediction of ranges is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PredictionChoice {
-    /// The same for every frame, as chosen by the user. [`Prediction::Inter`]: each P frame from the frame
-    /// before or, if that is smaller, as an I frame; that is, from regions or by context.
+    /// The same prediction for every frame, as chosen by the user. [`Prediction::Inter`]: each P frame from the
+    /// frame before or, if that is smaller, as an I frame; that is, from regions or by context.
     Always(Prediction),
     /// For each frame, the prediction that makes it smallest.
     Smallest,

@@ -130,12 +130,12 @@ impl Error {
         if got > max { Err(Error::Usage(too_much())) } else { Ok(()) }
     }
 
-    /// The same error, naming the file that it is about.
+    /// This error, naming the file that it is about.
     pub(crate) fn at(self, path: impl AsRef<Path>) -> Self {
         Error::At { path: path.as_ref().to_path_buf(), source: Box::new(self) }
     }
 
-    /// The same error, naming the part of the stream that it is about.
+    /// This error, naming the part of the stream that it is about.
     pub(crate) fn within(mut self, part: impl Into<String>) -> Self {
         if let Some(place) = self.place_mut() {
             place.parts.push(part.into());
@@ -143,7 +143,7 @@ impl Error {
         self
     }
 
-    /// The same error, naming the frame that it is about.
+    /// This error, naming the frame that it is about.
     pub(crate) fn within_frame(mut self, number: u64, name: &str) -> Self {
         if let Some(place) = self.place_mut() {
             place.frame = Some(number);
@@ -151,7 +151,7 @@ impl Error {
         self.within(format!("frame {number} ({name:?})"))
     }
 
-    /// The same error, naming the frame of a group that it is about; the first is 0.
+    /// This error, naming the frame of a group that it is about; the first is 0.
     pub(crate) fn within_frame_of_group(mut self, number: u64) -> Self {
         if let Some(place) = self.place_mut() {
             place.frame = Some(number);
@@ -159,7 +159,7 @@ impl Error {
         self.within(format!("frame {number} of the group"))
     }
 
-    /// The same error, about a frame of the group whose first frame has this number.
+    /// This error, about a frame of the group whose first frame has this number.
     pub(crate) fn counted_from(mut self, first_frame: u64) -> Self {
         if let Some(frame) = self.place_mut().and_then(|place| place.frame.as_mut()) {
             *frame = frame.saturating_add(first_frame);
@@ -167,7 +167,7 @@ impl Error {
         self
     }
 
-    /// The same error, which is about a section of this kind.
+    /// This error, which is about a section of this kind.
     pub(crate) fn within_section(mut self, kind: SectionKind) -> Self {
         if let Some(place) = self.place_mut() {
             place.section = Some(kind);

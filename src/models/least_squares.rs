@@ -37,12 +37,12 @@ impl<const N: usize> LeastSquares<N> {
         }
     }
 
-    /// The same predictor, but solved after every `samples` samples.
+    /// This predictor, but solved after every `samples` samples.
     pub fn solved_every(self, samples: u32) -> Self {
         LeastSquares { solve_every: samples, ..self }
     }
 
-    /// The same predictor with additional features, which have no samples yet.
+    /// This predictor with additional features, which have no samples yet.
     pub fn widened<const M: usize>(&self) -> LeastSquares<M> {
         let mut wide = LeastSquares::new(self.forget).solved_every(self.solve_every);
         for (to, from) in wide.normal.iter_mut().zip(&self.normal) {

@@ -215,7 +215,7 @@ impl Scanner {
         }
     }
 
-    /// The same scanner with another range step, in micrometres.
+    /// This scanner with another range step, in micrometres.
     pub fn with_range_step(self, range_step_um: u32) -> Self {
         match self {
             Scanner::Hdl64(scanner) => Scanner::Hdl64(scanner.with_range_step(range_step_um)),

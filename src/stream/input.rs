@@ -63,7 +63,7 @@ impl FrameInput {
         FrameInput { data: Data::Scan(Box::new(scan)), stamp, drive: 0 }
     }
 
-    /// The same input with its kind, track and time. By default it is a file on the first track, without a
+    /// This input with its kind, track and time. By default it is a file on the first track, without a
     /// time.
     pub fn stamped(self, stamp: Stamp) -> Self {
         FrameInput { stamp, ..self }
@@ -88,7 +88,7 @@ impl FrameInput {
         inputs
     }
 
-    /// The same input as part of the drive with this number: frames of different drives share no group, and
+    /// This input as part of the drive with this number: frames of different drives share no group, and
     /// each drive has its own scanners. Frames of one drive must be consecutive.
     pub fn of_drive(self, drive: usize) -> Self {
         FrameInput { drive, ..self }

@@ -12,7 +12,7 @@ pub enum Arrangement {
     Records,
     /// The first byte of every record, then the second, ...
     Planes,
-    /// The same, but for each value's difference from the value of the record before.
+    /// As [`Planes`](Self::Planes), of each value's difference from the value of the record before.
     Differences,
 }
 

@@ -51,7 +51,7 @@ impl<const N: usize> BatchedLeastSquares<N> {
         }
     }
 
-    /// The same predictor, but solved after every `samples` samples.
+    /// This predictor, but solved after every `samples` samples.
     pub fn solved_every(self, samples: u32) -> Self {
         BatchedLeastSquares { solve_every: samples, ..self }
     }

@@ -112,7 +112,7 @@ impl<const P: usize, const M: usize> Mixture<P, M> {
         Mixture { scales: scales.collect(), weights: contexts.map(|contexts| vec![equal; contexts]), rates }
     }
 
-    /// The same mixture with additional predictors, which are untrained, and with all contexts repeated
+    /// This mixture with additional predictors, which are untrained, and with all contexts repeated
     /// `copies` times.
     pub fn widened<const Q: usize>(&self, copies: usize) -> Mixture<Q, M> {
         let share = P as f32 / Q as f32;

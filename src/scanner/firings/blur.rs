@@ -53,7 +53,7 @@ impl Blur {
         libm::exp(-0.5 * (TAU * deviation / metres).powi(2))
     }
 
-    /// The same for the azimuth of a point.
+    /// The coherence that the azimuth of this point still has on a grid of so many ticks a turn.
     pub fn coherence_of_ticks(self, point: &Point, ticks: u32) -> f64 {
         let [x, y, _] = point.position;
         self.coherence((x * x + y * y).sqrt() * TAU / f64::from(ticks))

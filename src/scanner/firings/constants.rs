@@ -60,7 +60,7 @@ impl<'m> Point<'m> {
         })
     }
 
-    /// The same point as measured by a beam through a focal point, this many metres in front of the axis.
+    /// This point as measured by a beam through a focal point, this many metres in front of the axis.
     pub fn through(self, focal: f64) -> Self {
         let [x, y, z] = self.position;
         let rho = (x * x + y * y).sqrt();

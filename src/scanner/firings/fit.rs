@@ -50,7 +50,7 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     })
 }
 
-/// The same, given the fit to one scan.
+/// As [`fit`], given the fit to one scan.
 pub(super) fn fit_by(
     sample: &[ScanFile],
     fit_scan: impl Fn(&PointCloud) -> Option<(Firings, f64)>,

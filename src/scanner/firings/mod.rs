@@ -192,20 +192,20 @@ impl Firings {
         }
     }
 
-    /// The same scanner for files that hold row after row, in this order: `rows_of_lines` must be a permutation of
+    /// This scanner for files that hold row after row, in this order: `rows_of_lines` must be a permutation of
     /// the rows, or empty for files that hold firing after firing.
     pub fn line_by_line(self, rows_of_lines: Vec<u32>) -> Self {
         Firings { rows_of_lines, ..self }
     }
 
-    /// The same scanner with rows that lag behind their columns by these ticks: columns then hold points that were
+    /// This scanner with rows that lag behind their columns by these ticks: columns then hold points that were
     /// not fired together, as in Ouster's destaggered clouds, or the lasers look that far back and the program adds
     /// this to the tick. `lags` must have one element per row, all less than a turn, or be empty.
     pub fn lagging(self, lags: Vec<u32>) -> Self {
         Firings { lags, ..self }
     }
 
-    /// The same scanner with firings that begin at this slot of the order.
+    /// This scanner with firings that begin at this slot of the order.
     fn begun_at(self, slot: usize) -> Self {
         let mut rows_of_slots = self.rows_of_slots;
         rows_of_slots.rotate_left(slot);
@@ -214,7 +214,7 @@ impl Firings {
             .lagging(self.lags)
     }
 
-    /// The same scanner with another timing of its firings.
+    /// This scanner with another timing of its firings.
     fn with_timing(self, timing: Timing) -> Self {
         let passed = Passed::new(&timing, self.rows());
         Firings { build: Build { timing, ..self.build }, passed, ..self }
@@ -278,7 +278,7 @@ impl Firings {
         f64::from(self.build.range_step_um) * 1e-6
     }
 
-    /// The same scanner, its ranges rounded to other steps, in micrometres.
+    /// This scanner, its ranges rounded to other steps, in micrometres.
     pub fn with_range_step(self, range_step_um: u32) -> Self {
         Firings { build: Build { range_step_um, ..self.build }, ..self }
     }

@@ -21,7 +21,7 @@ pub enum Recipe {
     DoubleYAhead = 1,
     /// Double precision, rounded once; x ahead, azimuth clockwise.
     DoubleXAhead = 2,
-    /// The same with ranges in single precision: Ouster.
+    /// As `DoubleXAhead`, with ranges in single precision: Ouster.
     SingleRangeXAhead = 3,
     /// RoboSense's `rs_driver`: single precision throughout, tables of hundredths of degrees, x ahead, azimuth
     /// clockwise, and beams that start away from the axis.
@@ -32,7 +32,7 @@ pub enum Recipe {
     /// Autoware's `nebula` for Hesai's scanners: sums of angles in single precision, glibc's cosine and sine of them, y
     /// ahead, azimuth clockwise.
     Nebula = 6,
-    /// The same in its version of 2023: sums of angles in double precision, rounded once.
+    /// As `Nebula`, in its version of 2023: sums of angles in double precision, rounded once.
     Nebula2023 = 7,
     /// As `VelodyneRos`, with glibc's cosine and sine.
     VelodyneRosGlibc = 8,
@@ -45,7 +45,7 @@ pub enum Recipe {
     /// Ouster's SDK for beams that start away from the axis: double precision, rounded once, x ahead, azimuth
     /// clockwise. Ranges are measured from the axis.
     Ouster = 11,
-    /// The same with direction and start of each beam rounded to single precision: Ouster's ROS driver.
+    /// As `Ouster`, with direction and start of each beam rounded to single precision: Ouster's ROS driver.
     OusterRos = 12,
     /// Apollo's driver for Velodyne's scanners: as `VelodyneRos`, with angles of ticks by a product with pi,
     /// products of x and y in double precision, and cosine and sine of glibc before 2.28.
@@ -55,7 +55,7 @@ pub enum Recipe {
     /// The Python package `velodyne-decoder`: as `VelodyneRosGlibc`, with angles of ticks by two products, and a height
     /// for each laser. Its beams intersect in a focal point in front of the axis.
     VelodyneDecoder = 15,
-    /// The same for the HDL-32E, whose heights it has in hundredths of millimetres.
+    /// As `VelodyneDecoder`, for the HDL-32E, whose heights it has in hundredths of millimetres.
     VelodyneDecoderHdl32e = 16,
     /// As `Ouster`, in Ouster's ROS driver of 2021: it turns directions to the frame of the case by half a turn, but
     /// not where beams start, which is therefore behind the axis.
@@ -237,7 +237,7 @@ impl Recipe {
         azimuth
     }
 
-    /// The same for several points.
+    /// [`azimuth`](Self::azimuth) of several points at once.
     #[inline(always)]
     pub(super) fn azimuths<const N: usize>(self, x: &[f64; N], y: &[f64; N]) -> [f64; N] {
         match self.axes() {
@@ -362,13 +362,13 @@ pub(super) enum Arithmetic {
     Double { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], axes: Axes, single_range: bool },
     /// Cosine and sine of the elevation; the azimuth offset in ticks; metres from the axis and up.
     Tables { cos_v: f32, sin_v: f32, turned: u32, along: f32, up: f32 },
-    /// The same in double precision; the azimuth offset in ticks and in degrees, and its cosine and sine.
+    /// As `Tables`, in double precision; also the azimuth offset in degrees, and its cosine and sine.
     Ls { cos_v: f64, sin_v: f64, turned: u32, offset: f64, offsets: [f64; 2], along: f64, up: f64 },
     /// Cosine and sine of the elevation; the azimuth offset in radians.
     Sum { cos_v: f32, sin_v: f32, offset: f32 },
-    /// The same, but the azimuth offset in degrees.
+    /// Cosine and sine of the elevation; the azimuth offset in degrees.
     Sum2023 { cos_v: f32, sin_v: f32, offset: f64 },
-    /// The same, with products in double precision.
+    /// As `Sum2023`, for products in double precision.
     Once { cos_v: f32, sin_v: f32, offset: f64 },
     /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine; where the beam
     /// starts; whether direction and start are rounded.
@@ -484,8 +484,8 @@ impl Arithmetic {
         }
     }
 
-    /// The same for several ranges, each of a laser of its own. By the recipes of most scanners, vector units compute them
-    /// side by side.
+    /// [`position`](Self::position) of several ranges at once, each of a laser of its own. By the recipes of most
+    /// scanners, vector units compute them side by side.
     #[inline(always)]
     pub fn positions<const N: usize>(
         lasers: &[&Self; N],
@@ -513,7 +513,7 @@ impl Arithmetic {
         }
     }
 
-    /// The same, not compiled for each vector unit.
+    /// [`positions`](Self::positions), not compiled for each vector unit.
     fn positions_one_by_one<const N: usize>(
         lasers: &[&Self; N],
         turn: &TurnTable,
@@ -524,7 +524,8 @@ impl Arithmetic {
         lanes(|i| lasers[i].position(turn, ticks[i], steps[i], range_step_um))
     }
 
-    /// The same in the precision in which they are computed, before they are rounded once.
+    /// The coordinates of [`position`](Self::position) in the precision in which they are computed, before they are
+    /// rounded.
     pub fn unrounded(&self, turn: &TurnTable, tick: u32, steps: u32, range_step_um: u32) -> [f64; 3] {
         match self {
             Arithmetic::Double { .. } | Arithmetic::Ls { .. } => {
@@ -582,7 +583,7 @@ impl Arithmetic {
         }
     }
 
-    /// The same for several ranges, each of a laser of its own.
+    /// [`double_by_table`](Self::double_by_table) of several ranges at once, each of a laser of its own.
     #[inline(always)]
     fn doubles_by_table<const N: usize>(
         lasers: &[&Self; N],
@@ -627,7 +628,8 @@ impl Arithmetic {
         Some((point, lanes(|i| flat[i].abs() * TURNED_ERROR)))
     }
 
-    /// The same for [`ouster`](Self::ouster).
+    /// The result of [`ouster`](Self::ouster) from the cosine and the sine of the tick, as by
+    /// [`double_by_table`](Self::double_by_table).
     #[inline]
     fn ouster_by_table(&self, turn: &TurnTable, tick: u32, millimetres: f64) -> Option<[f32; 3]> {
         let (
@@ -732,7 +734,7 @@ impl Arithmetic {
         }
     }
 
-    /// The same by the recipes of [`Arithmetic::Single`] for several ranges, each of a laser of its own.
+    /// [`single`](Self::single) of several ranges at once, each of a laser of its own, by [`Arithmetic::Single`].
     #[inline(always)]
     fn singles<const N: usize>(
         lasers: &[&Self; N],

@@ -171,7 +171,7 @@ impl Hdl64 {
         model
     }
 
-    /// The same scanner, with coordinates computed in single precision, and with refinements of the constants
+    /// This scanner, with coordinates computed in single precision, and with refinements of the constants
     /// for each beam.
     pub fn with_refinements(mut self, refinements: Vec<Refinement>) -> Self {
         let of_row = |(row, refinement)| self.single_precision(row).refined(refinement);
@@ -186,7 +186,7 @@ impl Hdl64 {
         SingleBeam::new([sin_v, cos_v, b, c, h, rot], self.ticks)
     }
 
-    /// The same scanner, with ranges rounded to other steps, in micrometres.
+    /// This scanner, with ranges rounded to other steps, in micrometres.
     pub fn with_range_step(self, range_step_um: u32) -> Self {
         Hdl64 { range_step_um, ..self }
     }

@@ -30,7 +30,7 @@ pub enum TransformOrder {
     SingleShiftFirst = 3,
     /// Single precision, the translation last: `((x a + y b) + z c) + t`: Eigen.
     SingleShiftLast = 4,
-    /// The same with fused products and sums: NumPy.
+    /// Single precision with fused products and sums: `fma(z, c, fma(y, b, x a)) + t`: NumPy.
     SingleFused = 5,
     /// Double precision, rounded once, as the points were not rounded before: programs that keep points in double
     /// precision until they write them.
@@ -111,8 +111,8 @@ impl Mounting {
         [0, 1, 2].map(|axis| self.order.coordinate(&self.rows[axis], point))
     }
 
-    /// The same rounded to float32, given nearly a point of the recipe that is not rounded, and the largest error of its
-    /// x and y. `None` in the rare cases in which the error might show.
+    /// [`moved`](Self::moved), rounded to float32, given nearly a point of the recipe that is not rounded, and the
+    /// largest error of its x and y. `None` in the rare cases in which the error might show.
     #[inline]
     pub(super) fn surely_moved(&self, point: &[f64; 3], error: f64) -> Option<[f32; 3]> {
         let coordinate = |row: &[f64; 4]| {
@@ -132,7 +132,7 @@ impl Mounting {
         [0, 1, 2].map(|axis| u * a[axis] + v * b[axis] + w * c[axis])
     }
 
-    /// The same for a scanner that is turned by so many radians more, counterclockwise around its axis.
+    /// This mounting for a scanner that is turned by so many radians more, counterclockwise around its axis.
     fn turned(&self, radians: f64) -> Self {
         let (sin, cos) = libm::sincos(radians);
         let rows = self.rows.map(|[a, b, c, t]| [a * cos + b * sin, b * cos - a * sin, c, t]);
@@ -141,12 +141,12 @@ impl Mounting {
 }
 
 impl Firings {
-    /// The same scanner with this mounting.
+    /// This scanner with a mounting.
     fn mounted(self, mounting: Mounting) -> Self {
         Firings { build: Build { mounting: Some(Box::new(mounting)), ..self.build }, ..self }
     }
 
-    /// The same scanner in a frame of its own.
+    /// This scanner in a frame of its own.
     fn unmounted(&self) -> Self {
         Firings { build: Build { mounting: None, ..self.build.clone() }, ..self.clone() }
     }
