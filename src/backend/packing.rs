@@ -3,7 +3,7 @@
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
-/// Layouts of residuals.
+/// How residuals are arranged as bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Packing {
     /// Two's complement, 32 bits, little-endian: as in a program's memory.

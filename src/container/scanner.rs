@@ -9,7 +9,7 @@ use super::wire::take;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
-/// The reference of groups to a scanner: the checksum of its record. It is the same in every stream, and any
+/// How groups refer to a scanner: by the checksum of its record. It is the same in every stream, and any
 /// copy of the record serves. FORMAT.md 2.3.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ScannerId(pub u32);

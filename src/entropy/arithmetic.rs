@@ -43,7 +43,7 @@ pub trait BitCoder: Default {
     fn code_part(&mut self, part: u64, bits: u32) -> u64;
 }
 
-/// The largest number of plain bits that are coded in one step.
+/// The largest number of plain bits that are coded at once.
 const PLAIN_BITS: u32 = 16;
 
 /// The largest number of zero bytes that are dropped from the end.

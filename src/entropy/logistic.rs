@@ -6,11 +6,11 @@ use std::sync::LazyLock;
 use super::BitCoder;
 use super::weights::WeightSets;
 
-/// Table steps per unit of log odds: fine enough that a finer table would save less than a thousandth of a
+/// Table entries per unit of log odds: fine enough that a finer table would save less than a thousandth of a
 /// bit.
 const SQUASH_FINENESS: f32 = 256.0;
 const SQUASH_STEPS: usize = 8192;
-/// The log odds of the table's last step.
+/// The log odds of the table's last entry.
 const MOST_ODDS: f32 = 16.0 - 1.0 / SQUASH_FINENESS;
 const STRETCH_STEPS: usize = 4096;
 const BEND_STEPS: usize = 1024;

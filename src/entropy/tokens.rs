@@ -18,7 +18,7 @@ pub use writer::TokenWriter;
 
 use numbers::NumberToken;
 
-/// The largest number of plain bits coded in one step: they fit into eight bytes at any bit offset.
+/// The largest number of plain bits coded at once: they fit into eight bytes at any bit offset.
 pub const MOST_BITS: u32 = 56;
 
 /// Codes tokens and plain bits in one direction or the other.

@@ -97,9 +97,9 @@ impl StageReport {
         self.contour + self.side + self.ranges + self.rest
     }
 
-    /// The time of a step.
-    pub fn time(&self, step: Stage) -> Duration {
-        self.times[step as usize]
+    /// The time of a stage.
+    pub fn time(&self, stage: Stage) -> Duration {
+        self.times[stage as usize]
     }
 
     /// The total time of all stages.
@@ -107,20 +107,20 @@ impl StageReport {
         self.times.iter().sum()
     }
 
-    /// Runs a step and measures its time.
-    pub(crate) fn timed<T>(&mut self, step: Stage, run: impl FnOnce() -> T) -> T {
+    /// Runs a stage and measures its time.
+    pub(crate) fn timed<T>(&mut self, stage: Stage, run: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = run();
-        self.times[step as usize] += start.elapsed();
+        self.times[stage as usize] += start.elapsed();
         result
     }
 
-    /// Adds the time since `start` to a step.
-    pub(crate) fn took(&mut self, step: Stage, start: Instant) {
-        self.times[step as usize] += start.elapsed();
+    /// Adds the time since `start` to a stage.
+    pub(crate) fn took(&mut self, stage: Stage, start: Instant) {
+        self.times[stage as usize] += start.elapsed();
     }
 
-    /// Adds the time since `start` to the step of sections of this kind, if it has one; otherwise the time
+    /// Adds the time since `start` to the stage of sections of this kind, if it has one; otherwise the time
     /// counts as the rest.
     pub(crate) fn took_section(&mut self, kind: SectionKind, start: Instant) {
         match kind {
@@ -130,7 +130,7 @@ impl StageReport {
         }
     }
 
-    /// Adds the time since `start` to the rest, minus the time added to any step since the total was
+    /// Adds the time since `start` to the rest, minus the time added to any stage since the total was
     /// `before`.
     pub(crate) fn took_rest(&mut self, start: Instant, before: Duration) {
         let others = self.total_time().saturating_sub(before);

@@ -1,4 +1,4 @@
-//! The clock used to time processing steps.
+//! The clock that times the stages of coding.
 
 #[cfg(not(all(target_family = "wasm", target_os = "unknown")))]
 pub(crate) use std::time::Instant;

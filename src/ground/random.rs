@@ -65,7 +65,7 @@ impl Rng {
     }
 }
 
-/// The odd number nearest 2^64 over the golden ratio: the step of splitmix64.
+/// The odd number nearest 2^64 over the golden ratio: the increment of splitmix64.
 const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// A number that depends on every bit of the seed and of the key.

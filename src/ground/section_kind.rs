@@ -21,7 +21,7 @@ pub enum SectionKind {
     Correction,
     /// Intensities.
     Intensity,
-    /// How the order of the points differs from the canonical one.
+    /// How the order of the points differs from canonical order (FORMAT.md 4.2).
     Order,
     /// Points that no model explains, in the order of the file.
     Points,

@@ -34,7 +34,7 @@ pub struct Decoder<R> {
     images: bool,
     /// The group of the scan last requested by number.
     kept: Option<KeptGroup>,
-    /// Threads for such scans; created when first needed.
+    /// Threads that decode the scans requested by number; created when first needed.
     pool: Option<Arc<ThreadPool>>,
 }
 

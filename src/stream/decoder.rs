@@ -32,7 +32,7 @@ pub struct DecodedFrame {
     pub keeps_order: bool,
     /// The range image, if there is one and it was requested.
     pub image: Option<DecodedImage>,
-    /// The time of each decoding step.
+    /// The time of each stage of decoding.
     pub stages: StageReport,
 }
 

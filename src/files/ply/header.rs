@@ -42,7 +42,7 @@ enum Property {
     List(Scalar, Scalar),
 }
 
-/// The section of the header that is being read.
+/// The part of the header that is being read.
 enum Place {
     /// Before the vertices; the sizes of these elements are needed.
     Before,

@@ -60,7 +60,7 @@ impl NullaryFnOnce for Agreements<'_> {
             let (bits, theirs) = (start % BITS, &round[start / BITS..]);
             let mut both = 0;
             for ((mine, low), high) in mine.iter().zip(theirs).zip(&theirs[1..]) {
-                // Shifted in two steps, since a shift by the full word length is not allowed.
+                // Shifted twice, since a shift by the full word length is not allowed.
                 both += (mine & (low >> bits | high << 1 << (BITS - 1 - bits))).count_ones();
             }
             agreements.push(both);

@@ -1,9 +1,9 @@
 //! Fits the scanner's formula to the sequence itself, with no prior knowledge of the scanner except its
 //! grids: azimuth ticks of 0.09 degrees and range steps of 2 mm (Velodyne HDL-64E).
 //!
-//! The steps for each beam: (1) a robust line through z against rho gives elevation and height; (2) the
-//! sideways offset is the one that makes the azimuth ticks most coherent; (3) the phase of the range on its
-//! grid gives the range offset; (4) least squares on x, y and z gives all five constants.
+//! For each beam: (1) a robust line through z against rho gives elevation and height; (2) the sideways offset
+//! is the one that makes the azimuth ticks most coherent; (3) the phase of the range on its grid gives the
+//! range offset; (4) least squares on x, y and z gives all five constants.
 
 use std::cmp::Reverse;
 use std::f64::consts::TAU;
@@ -240,7 +240,7 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
         let points: Vec<Point> = thinned(points, count).copied().collect();
         System::of(&FitFormula::new(constants), &points, reach, 0.0)
     };
-    // The first steps are large, so a few points are enough.
+    // The constants are far off at first, so a few points are enough.
     for (count, reach) in
         [(SAMPLE / 8, 0.004), (SAMPLE / 8, 0.004), (SAMPLE / 4, 0.0015), (SAMPLE / 2, 0.0015)]
     {

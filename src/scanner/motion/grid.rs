@@ -1,4 +1,4 @@
-//! The motion as determined by the millimetre grid. Each step makes it accurate enough for the next: first
+//! The motion as determined by the millimetre grid. Each stage makes it accurate enough for the next: first
 //! the rotation about z that brings points in front of the scanner, which hardly move, onto the grid; then
 //! the same for growing parts of the turn; then the whole motion at once; finally the correction of
 //! coordinates that are rounded to the wrong float32 value.
@@ -28,13 +28,13 @@ pub struct Yaw {
 impl Yaw {
     /// `None` if there are too few points.
     pub fn new(points: &[Seen]) -> Option<Self> {
-        /// Number of points in the first search and in each later step, and the minimum number.
+        /// Number of points in the first search and in each later one, and the minimum number.
         const FIRST: usize = 120;
         const SAMPLE: usize = 1500;
         const FEWEST: usize = 60;
         /// In metres: with a shorter lever the rotation moves no point by a unit.
         const LEAST_REACH: f64 = 1e-3;
-        /// Factor by which each step extends the lever.
+        /// Factor by which each search extends the lever.
         const GROWTH: f64 = 4.0;
         if points.len() < FEWEST {
             return None;

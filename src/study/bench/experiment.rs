@@ -25,7 +25,7 @@ pub struct Coded {
 
 /// A frame, encoded and decoded.
 pub struct CodedFrame {
-    /// Time and size of each step of encoding. If several predictions were tried, those of the chosen one.
+    /// Time and size of each stage of encoding. If several predictions were tried, those of the chosen one.
     pub encoding: StageReport,
     /// The decoded frame.
     pub decoded: DecodedFrame,

@@ -11,7 +11,7 @@ use super::sample::Sample;
 use super::tables::{Method, column, rows_of_methods};
 use crate::frame::Stage;
 
-/// Tables IV and V: seconds of each step of encoding a frame, for intra and for inter coding.
+/// Tables IV and V: seconds of each stage of encoding a frame, for intra and for inter coding.
 pub fn steps(sample: &Sample, runs: &Runs) -> Vec<Section> {
     let all: Vec<_> = (0..sample.inputs.len()).collect();
     let later: Vec<_> = sample.compared().collect();
@@ -95,7 +95,7 @@ impl<'a> Steps<'a> {
         measured.chain(coders().map(|coder| (coder, Origin::Published))).collect()
     }
 
-    /// Seconds of a step, or of all steps.
+    /// Seconds of a stage, or of all stages.
     fn mean(&self, runs: &'a Runs, name: &str, step: Option<Stage>) -> Option<f64> {
         let coded = (self.coded)(runs, name)?;
         coded.mean(self.frames.iter().copied(), |frame| {

@@ -1,4 +1,4 @@
-//! Tables I to III: the sizes of frames, and the steps that reduce them.
+//! Tables I to III: the sizes of frames, and the stages that reduce them.
 
 use super::experiment::{Coded, CodedFrame};
 use super::figure_15::length;
@@ -89,7 +89,7 @@ pub fn octrees(sample: &Sample, rivals: &Rivals) -> Section {
     })
 }
 
-/// Tables II and III: bytes of a frame after each step, for intra and for inter coding.
+/// Tables II and III: bytes of a frame after each stage, for intra and for inter coding.
 pub fn volumes(sample: &Sample, runs: &Runs) -> Vec<Section> {
     let all: Vec<_> = (0..sample.inputs.len()).collect();
     let later: Vec<_> = sample.compared().collect();

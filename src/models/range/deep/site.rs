@@ -20,7 +20,7 @@ pub struct DeepSite<'a> {
     pub referred: Option<Referred>,
 }
 
-/// The contexts that select the weights of the mixers and the corrections.
+/// The contexts that select the weights of the mixers and the maps that refine their result.
 #[derive(Clone, Copy)]
 pub struct SetContexts {
     /// 0 without a reference, otherwise the class of its errors plus 1.

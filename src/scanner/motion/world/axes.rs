@@ -107,7 +107,7 @@ struct Samples {
 
 impl Samples {
     fn new(points: &[Vector], is_none: &[bool], pairs_of_none: bool) -> Self {
-        /// Minimum number of points in a level.
+        /// Minimum number of points in a [`Level`].
         const FEWEST: usize = 100;
         const FEWEST_NEAR: usize = 60;
         const MANY: usize = 1200;

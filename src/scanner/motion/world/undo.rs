@@ -1,4 +1,4 @@
-//! Estimates how a sweep was moved through the world frame, in steps that are each accurate enough for the
+//! Estimates how a sweep was moved through the world frame, in stages that are each accurate enough for the
 //! next: the scanner's positions from records without a return, its rotations from ranges and ticks being
 //! whole numbers, the axes of the map from its lattices, then the path and the origin in the map alternately.
 
