@@ -15,6 +15,8 @@ const WORDS: std::ops::RangeInclusive<usize> = 3..=12;
 const GAIN: f64 = 0.9;
 /// Minimum share of values that are plausible coordinates.
 const PLAUSIBLE: f64 = 0.9;
+/// Minimum share of records that are seen in about the direction of the record before, if the record length is right.
+const STEADY: f64 = 0.7;
 
 /// The beginning of a file.
 #[derive(Clone, Debug)]
@@ -51,6 +53,15 @@ pub fn examine(samples: &[Sample], layout: Option<&HeaderlessLayout>) -> Verdict
         None => return Verdict::Agrees,
     };
     let fits = |stride: usize| kitti.iter().all(|sample| sample.size.is_multiple_of(stride as u64));
+    // The first value of a record may be its time.
+    let first = |stride| usize::from(rises(&kitti, stride));
+    let is_steady = |stride| steadiness(&kitti, stride, first(stride)) >= STEADY;
+    if layout.is_none() && (first(assumed) > 0 || !is_steady(assumed)) {
+        let mut lengths = WORDS.map(|words| words * WORD).filter(|&stride| fits(stride));
+        if let Some(stride) = lengths.find(|&stride| is_steady(stride)) {
+            return floats(&kitti, stride, first(stride)).map_or(Verdict::NoFloats, Verdict::Rather);
+        }
+    }
     let cost = |stride: usize| kitti.iter().map(|sample| cost(&sample.start, stride)).sum::<usize>() as f64;
     let candidates = WORDS.map(|words| words * WORD).filter(|&stride| fits(stride));
     let costs: Vec<_> = candidates.map(|stride| (stride, cost(stride))).collect();
@@ -59,13 +70,13 @@ pub fn examine(samples: &[Sample], layout: Option<&HeaderlessLayout>) -> Verdict
     let best = costs.into_iter().find(|(_, cost)| GAIN * cost <= least);
     match best {
         Some((stride, least)) if stride != assumed && least < GAIN * cost(assumed) => {
-            match floats(&kitti, stride) {
+            match floats(&kitti, stride, 0) {
                 Some(found) => Verdict::Rather(found),
                 None if layout.is_none() => Verdict::NoFloats,
                 None => Verdict::Agrees,
             }
         }
-        _ if layout.is_none() && floats(&kitti, assumed).is_none() => Verdict::NoFloats,
+        _ if layout.is_none() && floats(&kitti, assumed, 0).is_none() => Verdict::NoFloats,
         _ => Verdict::Agrees,
     }
 }
@@ -77,13 +88,55 @@ fn cost(bytes: &[u8], stride: usize) -> usize {
     backend::compress_quickly(&planes).map_or(usize::MAX, |coded| coded.len())
 }
 
-/// The layout of records of `stride` bytes that begin with coordinates; `None` if they do not.
-fn floats(samples: &[&Sample], stride: usize) -> Option<HeaderlessLayout> {
+/// The share of records whose azimuth is about that of the record before, if records have `stride` bytes, and x and y are
+/// the values number `first` and `first + 1`: scanners turn slowly, whether files hold firing after firing or row after
+/// row.
+fn steadiness(samples: &[&Sample], stride: usize, first: usize) -> f64 {
+    /// In degrees: more than the offsets of a scanner's lasers.
+    const NEAR: f32 = 8.0;
+    let azimuth = |record: &[u8]| {
+        let [x, y] = [first, first + 1].map(|at| f32_at(record, at));
+        (x.is_normal() && y.is_normal()).then(|| libm::atan2f(y, x).to_degrees())
+    };
+    let (mut near, mut all) = (0u32, 0u32);
+    for sample in samples {
+        let azimuths: Vec<f32> = sample.start.chunks_exact(stride).filter_map(azimuth).collect();
+        let turns = azimuths.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+        near += turns.filter(|turn| turn.min(360.0 - turn) < NEAR).count() as u32;
+        // Records without a direction show nothing, but few may be among those of a scan.
+        all += azimuths.len().max(sample.start.len() / stride / 4) as u32;
+    }
+    f64::from(near) / f64::from(all.max(1))
+}
+
+/// Whether the first value of each record hardly ever falls, if records have `stride` bytes and room for coordinates
+/// behind it.
+fn rises(samples: &[&Sample], stride: usize) -> bool {
+    /// At most one value in this number is smaller than the one before.
+    const RARE: usize = 20;
+    let values = |sample: &&Sample| {
+        let records = sample.start.chunks_exact(stride);
+        records.map(|record| f32_at(record, 0)).collect::<Vec<f32>>()
+    };
+    stride > 3 * WORD
+        && samples.iter().map(values).all(|values| {
+            let falls = values.windows(2).filter(|pair| pair[1] < pair[0] || pair[1].is_nan()).count();
+            falls * RARE < values.len()
+        })
+}
+
+fn f32_at(record: &[u8], at: usize) -> f32 {
+    f32::from_le_bytes(std::array::from_fn(|n| record[WORD * at + n]))
+}
+
+/// The layout of records of `stride` bytes whose coordinates begin with the value number `first`; `None` if these are no
+/// coordinates. A value before them is a time.
+fn floats(samples: &[&Sample], stride: usize, first: usize) -> Option<HeaderlessLayout> {
     let share = |at: usize, is: &dyn Fn(f32) -> bool| {
         let records = samples.iter().flat_map(|sample| sample.start.chunks_exact(stride));
-        let value = |record: &[u8]| f32::from_le_bytes(std::array::from_fn(|n| record[WORD * at + n]));
-        let (count, found) =
-            records.fold((0, 0), |(count, found), record| (count + 1, found + u32::from(is(value(record)))));
+        let (count, found) = records.fold((0, 0), |(count, found), record| {
+            (count + 1, found + u32::from(is(f32_at(record, first + at))))
+        });
         f64::from(found) / f64::from(count.max(1))
     };
     // Metres, blanks, and possible coordinates of a map.
@@ -92,8 +145,8 @@ fn floats(samples: &[&Sample], stride: usize) -> Option<HeaderlessLayout> {
     if (0..3).any(|at| share(at, &is_coordinate) < PLAUSIBLE) {
         return None;
     }
-    let has_intensity = stride > 3 * WORD && share(3, &is_intensity) >= PLAUSIBLE;
-    let mut letters = String::from(if has_intensity { "xyzi" } else { "xyz" });
+    let has_intensity = stride > (first + 3) * WORD && share(3, &is_intensity) >= PLAUSIBLE;
+    let mut letters = "t".repeat(first) + if has_intensity { "xyzi" } else { "xyz" };
     letters.push_str(&"_".repeat(stride / WORD - letters.len()));
     letters.parse().ok()
 }
@@ -129,6 +182,17 @@ mod tests {
         }
         assert_eq!(examine(&[file(4)], None), Verdict::Agrees);
         assert_eq!(examine(&[], None), Verdict::Agrees);
+    }
+
+    #[test]
+    fn a_time_may_come_first() {
+        let of_points = file(4);
+        let records = of_points.start.chunks_exact(16).zip(0u16..);
+        let timed =
+            records.flat_map(|(record, n)| [&(f32::from(n) * 1e-5).to_le_bytes()[..], record].concat());
+        let start: Vec<u8> = timed.collect();
+        let timed = Sample { size: start.len() as u64, start, ..of_points };
+        assert_eq!(examine(&[timed], None), Verdict::Rather("txyzi".parse().unwrap()));
     }
 
     #[test]
