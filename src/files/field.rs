@@ -58,6 +58,9 @@ pub(super) fn with_underscores(name: &str) -> String {
     name.split_whitespace().collect::<Vec<_>>().join("_")
 }
 
+/// The largest number of fields of a record; scanners' have 3 to about 20.
+const MOST_FIELDS: usize = 256;
+
 /// The names of columns in files without names: those of KITTI, then numbers.
 pub(super) fn usual_names(columns: usize) -> Vec<String> {
     let known = POSITION.into_iter().chain([INTENSITY]).map(str::to_owned);
@@ -91,10 +94,10 @@ pub(super) fn find_intensity(fields: &[Field], suits: impl Fn(&Field) -> bool) -
 
 /// The layout of records with these fields side by side. They have a position if x, y and z are single
 /// float32 values, and an intensity if a single float32, u8 or u16 value has one of its names. `None` if the
-/// records are empty or too long.
+/// records are empty, too long or of too many fields: each has models of its own.
 pub(super) fn layout_of(fields: Vec<Field>, wrapping: Wrapping) -> Option<Layout> {
     let stride: u64 = fields.iter().map(|field| field.width() as u64).sum();
-    if stride == 0 || stride > MAX_STRIDE.into() {
+    if stride == 0 || stride > MAX_STRIDE.into() || fields.len() > MOST_FIELDS {
         return None;
     }
     let coordinate = |name: &str| {

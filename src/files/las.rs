@@ -7,6 +7,7 @@ use byteorder::{ByteOrder, LittleEndian};
 use super::field::layout_of;
 use super::records::plain_file;
 use super::scaled;
+use crate::ground::rounding::round_ties_even;
 use crate::scan::{Axis, Field, Scalar, ScanFile, Wrapping};
 
 const MAGIC: &[u8] = b"LASF";
@@ -59,14 +60,15 @@ impl Header {
         Some(Header { others, scales, records, start: LittleEndian::read_u32(&header[START..]) as usize })
     }
 
-    /// How coordinates follow from the integers: with the header's offset; or with offset 0, in case float32
-    /// is too coarse for the former, as on a map. Only for steps that are decimal fractions of a metre, since
-    /// the models know such grids.
+    /// How coordinates follow from the integers: with the header's offset, rounded to whole steps (many programs write
+    /// the least coordinates, unrounded); or with offset 0, in case float32 is too coarse for the former, as on a map.
+    /// Only for steps that are decimal fractions of a metre, since the models know such grids.
     fn axes(&self) -> Option<[[Axis; 3]; 2]> {
         let per_metre = |scale: f64| (0..=5).map(|digits| 10f64.powi(digits)).find(|n| (1.0 / n) == scale);
         let [x, y, z] = self.scales.map(|[scale, offset]| {
-            let per_metre = per_metre(scale).filter(|_| offset.is_finite())?;
-            Some([Axis { per_metre, offset }, Axis { per_metre, offset: 0.0 }])
+            let per_metre = per_metre(scale)?;
+            let offset = round_ties_even(offset * per_metre) / per_metre;
+            offset.is_finite().then_some([Axis { per_metre, offset }, Axis { per_metre, offset: 0.0 }])
         });
         let (x, y, z) = (x?, y?, z?);
         Some([0, 1].map(|way| [x[way], y[way], z[way]]))
@@ -207,6 +209,9 @@ mod tests {
             (axes(&scan.layout).offset, scan.cloud.positions),
             (-100.0, vec![[1134.56, -100.01, -99.93]])
         );
+        // The least coordinate of a float32 cloud in millimetres, as laspy's users pass it.
+        let scan = comes_back("a.las", file(0, 0.001, (-70.123f32).into(), &records));
+        assert_eq!(scan.cloud.positions, [[53.333, -70.124, -70.116]]);
         // On a map, coordinates are relative to the map's corner.
         let scan = comes_back("a.las", file(0, 0.001, 500_000.0, &records));
         assert_eq!((axes(&scan.layout).offset, scan.cloud.positions), (0.0, vec![[123.456, -0.001, 0.007]]));

@@ -1,5 +1,5 @@
-//! NumPy arrays, `.npy`: structured arrays, whose fields are those of the records, or tables of numbers, one
-//! row per record.
+//! NumPy arrays, `.npy`: structured arrays, whose fields are those of the records, or tables of numbers: one
+//! row per record or, in few rows, one column per record, as nuScenes' devkit keeps points.
 //!
 //! Source: NumPy, `numpy.lib.format`, versions 1 to 3.
 
@@ -11,6 +11,10 @@ const MAGIC: &[u8] = b"\x93NUMPY";
 /// Arrays of points do not have longer headers.
 const MOST_HEADER: usize = 1 << 20;
 
+/// Numbers of fields, and of records, of tables that look like points.
+const MAY_BE_FIELDS: std::ops::RangeInclusive<u64> = FEWEST_COLUMNS as u64..=11;
+const MANY: u64 = 100;
+
 /// The properties of the records according to the header.
 pub(super) struct Header {
     /// Half-precision numbers are of type `u16` here.
@@ -19,8 +23,10 @@ pub(super) struct Header {
     /// Number of records, which may be wrong: the body decides.
     records: u64,
     is_big_endian: bool,
-    /// Whether the records are stored column by column.
+    /// Whether the records are stored field by field.
     is_by_field: bool,
+    /// Whether the records are the columns of a table.
+    has_columns: bool,
     /// Whether the file itself names the fields.
     is_named: bool,
     /// Bytes of the header.
@@ -45,16 +51,19 @@ impl Header {
         let shape = entry("shape")?.numbers()?;
         let is_column_major = shape.len() > 1 && !matches!(entry("fortran_order")?, Literal::Word("False"));
         let mut orders = Orders::default();
+        let has_columns =
+            matches!(shape[..], [fields, records] if MAY_BE_FIELDS.contains(&fields) && records >= MANY);
         let (kinds, shape, is_named) = match entry("descr")? {
             Literal::Text(kind) => {
-                let (columns, shape) = shape.split_last().filter(|(_, rows)| !rows.is_empty())?;
-                let columns = usize::try_from(*columns)
-                    .ok()
-                    .filter(|count| (FEWEST_COLUMNS..1 << 16).contains(count))?;
+                let (fields, records) = match has_columns {
+                    true => shape.split_first(),
+                    false => shape.split_last().filter(|(_, rows)| !rows.is_empty()),
+                }?;
+                let fields = usize::try_from(*fields).ok().filter(|fields| *fields >= FEWEST_COLUMNS)?;
                 let kind = orders.kind(kind)?;
-                let names = usual_names(columns);
+                let names = usual_names(fields);
                 let field = |name: &String| Some((kind.field(name, 1)?, kind.is_half));
-                (names.iter().map(field).collect::<Option<Vec<_>>>()?, shape, false)
+                (names.iter().map(field).collect::<Option<Vec<_>>>()?, records, false)
             }
             Literal::Sequence(parts) => {
                 let fields = parts.iter().map(|part| orders.field(part)).collect::<Option<_>>()?;
@@ -65,21 +74,19 @@ impl Header {
         let records = shape.iter().try_fold(1u64, |product, count| product.checked_mul(*count))?;
         let is_big_endian = orders.is_big_endian()?;
         // Structures are whole in either order; their own order is that of the file.
-        let is_by_field = is_column_major && !is_named;
+        let is_by_field = !is_named && is_column_major != has_columns;
         let (fields, halves) = kinds.into_iter().unzip();
-        Some(Header { fields, halves, records, is_big_endian, is_by_field, is_named, length })
+        Some(Header { fields, halves, records, is_big_endian, is_by_field, has_columns, is_named, length })
     }
 
     /// Whether an array in a folder, which was not named explicitly, looks like points: it names coordinates,
     /// or has many rows of a few floating-point numbers.
     pub(super) fn looks_like_points(&self) -> bool {
-        const FEWEST_ROWS: u64 = 100;
-        const MOST_COLUMNS: usize = 11;
         match self.is_named {
             true => names_coordinates(self.fields.iter().map(|field| &field.name[..])),
             false => {
-                self.records >= FEWEST_ROWS
-                    && self.fields.len() <= MOST_COLUMNS
+                self.records >= MANY
+                    && MAY_BE_FIELDS.contains(&(self.fields.len() as u64))
                     && self
                         .fields
                         .iter()
@@ -113,6 +120,7 @@ pub(super) fn with_point_count(header: &[u8], points: usize) -> Option<Vec<u8>> 
     let end = find(b")", start)? + 1;
     let shape = match known.is_named {
         true => format!("({points},)"),
+        false if known.has_columns => format!("({}, {points})", known.fields.len()),
         false => format!("({points}, {})", known.fields.len()),
     };
     let padding = (end - start).checked_sub(shape.len())?;
@@ -382,6 +390,24 @@ mod tests {
         second[6] = 2;
         second.splice(10..10, [0, 0]);
         assert_eq!(comes_back("a.npy", second).records, 2);
+    }
+
+    #[test]
+    fn records_may_be_the_columns_of_a_table() {
+        let rows: Vec<[f32; 120]> =
+            (0u8..4).map(|row| std::array::from_fn(|n| f32::from(row) + n as f32)).collect();
+        let body = floats(rows.as_flattened());
+        let scan = comes_back("a.npy", array("'<f4'", "False", "(4, 120)", &body));
+        assert_eq!((scan.records, scan.cloud.positions[119]), (120, [119.0, 120.0, 121.0]));
+        assert!(starts_as_scan_of_folder("a.npy", &array("'<f4'", "False", "(4, 120)", &body)));
+        let header = with_point_count(&array("'<f4'", "False", "(4, 120)", &[]), 30).unwrap();
+        let scan = comes_back("a.npy", [&header[..], &body[..4 * 4 * 30]].concat());
+        assert_eq!((scan.records, scan.suffix.len()), (30, 0));
+        let scan = comes_back("a.npy", array("'<f4'", "True", "(4, 120)", &body));
+        assert_eq!((scan.records, scan.cloud.positions[1]), (120, [4.0, 5.0, 6.0]));
+        // An image, or matrices.
+        assert!(comes_back("a.npy", array("'|u1'", "False", "(12, 1024)", &[0; 12 * 1024])).is_opaque());
+        assert_eq!(comes_back("a.npy", array("'<f4'", "False", "(12, 40)", &body)).layout.fields.len(), 40);
     }
 
     #[test]

@@ -303,6 +303,16 @@ impl<'s> TrackEncoder<'s> {
         let unfolded = frame.unfolded_bytes();
         self.state.frames += 1;
         let own = size_of_sections(&sections);
+        if self.state.frames == 1 && are_corrections_costly(&frame, &sections) {
+            // The scanner knows where the points are, but not the numbers of the file.
+            let scan = frame.clone().into_scan(&name)?;
+            let mut without = TrackEncoder::new(None, self.config);
+            let (encoded, lossy) = without.encode_as(config, scan, original.clone())?;
+            if encoded.size() < own {
+                *self = without;
+                return Ok((encoded, lossy));
+            }
+        }
         // Where a compressor won, the models are tried again: other scans of the group may be theirs.
         if let Some((models, stages)) = before
             && is_unexplained(&frame, &sections, original.file_size)
@@ -403,6 +413,15 @@ fn is_unexplained(frame: &FrameParts, sections: &[Section], file_size: u64) -> b
     let blanks = sections.iter().filter(|section| section.kind == SectionKind::Blanks);
     let of_blanks: usize = blanks.map(|section| section.payload.len()).sum();
     4 * frame.strays >= frame.records || 16 * of_blanks as u64 >= file_size
+}
+
+/// Whether the corrections of an exact frame take so many bits that its points may take fewer without a scanner.
+fn are_corrections_costly(frame: &FrameParts, sections: &[Section]) -> bool {
+    /// Where a scanner's recipe is not known, but the grid is, corrections take fewer bits a return.
+    const MOST_BITS: usize = 10;
+    let corrections = sections.iter().filter(|section| section.kind == SectionKind::Correction);
+    let bytes: usize = corrections.map(|section| section.payload.len()).sum();
+    frame.parameters.source.is_none() && 8 * bytes > MOST_BITS * (frame.records - frame.strays)
 }
 
 /// A frame coded in one of several ways.
