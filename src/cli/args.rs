@@ -3,14 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use crate::files::FileFormat;
+use crate::frame::settings::EncoderConfig;
 use crate::ground::error::Limits;
 use crate::stream::FrameRange;
 use crate::study::synth::SynthConfig;
-use clap::{Parser, Subcommand, ValueEnum};
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser, Subcommand, ValueEnum};
 
 use super::coding::CodingArgs;
 use super::time_range::TimeRange;
-use super::view::Kind;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -68,6 +69,23 @@ pub enum Command {
     Completions(CompletionsArgs),
     /// Write the manual pages.
     Man(ManArgs),
+}
+
+/// Ends the program as clap does for wrong usage of this subcommand.
+pub fn wrong_usage(subcommand: &str, what: impl std::fmt::Display) -> ! {
+    let mut program = Args::command();
+    // Before this, subcommands do not know the name of the program.
+    program.build();
+    let command = program.find_subcommand_mut(subcommand);
+    match command {
+        Some(command) => command.error(ErrorKind::ArgumentConflict, what).exit(),
+        None => program.error(ErrorKind::ArgumentConflict, what).exit(),
+    }
+}
+
+/// The encoder's settings according to these options of a subcommand. If they do not fit together, ends the program.
+pub fn encoder_config(subcommand: &str, coding: &CodingArgs, threads: usize) -> EncoderConfig {
+    coding.config(threads).unwrap_or_else(|error| wrong_usage(subcommand, error))
 }
 
 /// Full name of what other help texts call the article.
@@ -506,7 +524,7 @@ pub struct ViewArgs {
     pub frame: u64,
     /// What to draw.
     #[arg(long, value_enum, default_value = "all")]
-    pub kind: Kind,
+    pub kind: PictureKind,
     /// The original scans, to compute the error; needed for streams only.
     #[arg(long, value_name = "FOLDER", num_args = 1)]
     pub against: Vec<PathBuf>,
@@ -519,6 +537,34 @@ pub struct ViewArgs {
     pub force: bool,
     #[command(flatten)]
     pub coding: CodingArgs,
+}
+
+/// Kinds of pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PictureKind {
+    /// The range image, in metres.
+    Range,
+    /// Which cells hold a return.
+    Occupancy,
+    /// Ground brown, each object in a colour of its own, other returns grey.
+    Labels,
+    /// The regions that ranges are predicted from, each in a colour of its own; regions with a plane brown.
+    Regions,
+    /// The ranges predicted by the models of the regions, in metres.
+    Prediction,
+    /// The prediction residuals, in metres.
+    Residual,
+    /// The distances of points from the originals, in millimetres: from the points at the same place in the
+    /// order or, if the order has changed, from the nearest points.
+    Error,
+    /// The points from above, coloured by height.
+    BirdsEye,
+    /// The points from behind the scanner and above, coloured by height.
+    Perspective,
+    /// The range image, and the points in perspective below it.
+    Overview,
+    /// All pictures of the range image, one below the other.
+    All,
 }
 
 const BENCH_EXAMPLES: &str = "\

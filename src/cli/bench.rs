@@ -10,12 +10,12 @@ use crate::study::bench::report::{Report, csv, html, text};
 use crate::study::bench::{Bench, Findings};
 use anyhow::{Result, ensure};
 
-use super::args::{ARTICLE, BenchArgs};
-use super::errors::{about, wrong_usage};
+use super::args::{ARTICLE, BenchArgs, encoder_config, wrong_usage};
+use super::errors::about;
 use super::in_memory::is_stream;
 use super::input::{is_dash, name_of};
 use super::output::{FileOutput, name_of_output, print_json};
-use super::{coding, progress};
+use super::progress;
 
 pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
     let is_page_only = args.html.as_deref().is_some_and(is_dash);
@@ -28,7 +28,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
         "{}: is a lidarpc stream; bench takes scans: decode it first, as by `lidarpc decode FILE -o FOLDER`",
         name_of(&args.input)
     );
-    let config = coding::paper_config("bench", &args.coding, &args.threads);
+    let config = encoder_config("bench", &args.coding.in_paper_mode(), args.threads.threads);
     // Created first, so that an error does not waste the work.
     let mut page = args.html.as_deref().map(|path| FileOutput::create(path, args.force)).transpose()?;
     let frames = find_frames(std::slice::from_ref(&args.input))?.frames;

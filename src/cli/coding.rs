@@ -1,6 +1,9 @@
 //! The options of the coder controller: a mode, and individual settings.
 
+use std::str::FromStr;
+
 use crate::article::image_coding::{ImageCodec, Rate};
+use crate::article::prediction::intra::RegionModels;
 use crate::backend::{self, Level, Packing};
 use crate::files::HeaderlessLayout;
 use crate::frame::settings::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
@@ -9,11 +12,6 @@ use crate::ground::error::{Error, Result};
 use crate::inter::registration::RegistrationMethod;
 use crate::scanner::FLOAT_RANGES;
 use clap::{Args, ValueEnum};
-
-use super::args::Threads;
-use super::errors::wrong_usage;
-use super::length::Length;
-use super::regions::RegionArgs;
 
 /// How to code. Options that are not given take the mode's defaults.
 #[derive(Clone, Debug, Args)]
@@ -105,6 +103,47 @@ pub struct CodingArgs {
     pub regions: RegionArgs,
 }
 
+/// How ground and objects are found and modelled. Options that are not given take the mode's defaults.
+#[derive(Clone, Debug, Args)]
+pub struct RegionArgs {
+    /// Largest angle at which ground rises, in degrees (equation 3). Default: 10.
+    #[arg(long, value_name = "DEGREES", hide_short_help = true, help_heading = REGIONS)]
+    pub ground_angle: Option<f64>,
+    /// Largest rise of the ground from one return to the next above it. Default: 0.4m.
+    #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = REGIONS)]
+    pub ground_rise: Option<Length>,
+    /// Ground returns closer together than this may be up to three returns apart. Default: 2m.
+    #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = REGIONS)]
+    pub ground_reach: Option<Length>,
+    /// Angle above which neighbours belong to the same object, in degrees (equation 4). Default: 10.
+    #[arg(long, value_name = "DEGREES", hide_short_help = true, help_heading = REGIONS)]
+    pub cluster_angle: Option<f64>,
+    /// Minimum number of returns of an object. Default: 20.
+    #[arg(long, value_name = "N", hide_short_help = true, help_heading = REGIONS)]
+    pub smallest_cluster: Option<usize>,
+    /// How regions are formed. Default: article.
+    #[arg(long, value_enum, value_name = "KIND", hide_short_help = true, help_heading = REGIONS)]
+    pub regions: Option<RegionsArg>,
+    /// Lambda of equation 5, for fitted regions: the squared error, in steps, that one bit is worth. Default: 1000.
+    #[arg(long, value_name = "LAMBDA", hide_short_help = true, help_heading = REGIONS)]
+    pub lambda: Option<f64>,
+    /// Largest distance from the ground plane at which points support it. Default: 0.15m.
+    #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = REGIONS)]
+    pub plane_tolerance: Option<Length>,
+    /// Expected share of ground points that support the ground plane. Default: 0.5.
+    #[arg(long, value_name = "SHARE", hide_short_help = true, help_heading = REGIONS)]
+    pub plane_support: Option<f64>,
+    /// Required probability of finding a plane through three supporting points. Default: 0.99.
+    #[arg(long, value_name = "SHARE", hide_short_help = true, help_heading = REGIONS)]
+    pub plane_confidence: Option<f64>,
+    /// Seed of the random choices in the plane search. Default: 1.
+    #[arg(long, value_name = "S", hide_short_help = true, help_heading = REGIONS)]
+    pub plane_seed: Option<u64>,
+}
+
+/// The heading of the options of regions in the help.
+const REGIONS: &str = "Regions of intra prediction";
+
 /// A level on the command line.
 fn level(text: &str) -> std::result::Result<Level, &'static str> {
     text.parse().ok().and_then(Level::new).ok_or("a level is a number from 1 (fast) to 9 (small)")
@@ -172,11 +211,53 @@ pub enum IntensityArg {
     None,
 }
 
+/// Kinds of regions.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum RegionsArg {
+    /// The article's: the mean of each object, a plane for the ground.
+    Article,
+    /// Split and merged at the lowest cost, each with its mean or a plane.
+    Fitted,
+}
+
+/// A length, in micrometres.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Length(pub u32);
+
+impl Length {
+    /// The length in metres.
+    pub fn metres(self) -> f64 {
+        f64::from(self.0) * 1e-6
+    }
+}
+
+impl FromStr for Length {
+    type Err = String;
+
+    /// Reads `2mm`, `1.5 cm` or `0.38m`.
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let wrong = || format!("'{text}' is not a length; give one as 2mm, 1.5cm or 0.38m");
+        let (number, unit_um) = [("um", 1.0), ("mm", 1e3), ("cm", 1e4), ("m", 1e6)]
+            .into_iter()
+            .find_map(|(unit, um)| Some((text.strip_suffix(unit)?, um)))
+            .ok_or_else(wrong)?;
+        let micrometres = number.trim().parse::<f64>().map_err(|_| wrong())? * unit_um;
+        let whole = micrometres.round();
+        if !(1.0..=1e9).contains(&whole) {
+            return Err(format!("'{text}' is not from 1um to 1000m"));
+        }
+        if (micrometres - whole).abs() > 1e-6 * whole {
+            return Err(format!("'{text}' is not a whole number of micrometres"));
+        }
+        Ok(Length(whole as u32))
+    }
+}
+
 /// A range step, in micrometres.
 #[derive(Clone, Copy, Debug)]
 pub struct StepArg(u32);
 
-impl std::str::FromStr for StepArg {
+impl FromStr for StepArg {
     type Err = String;
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
@@ -191,7 +272,7 @@ impl std::str::FromStr for StepArg {
 #[derive(Clone, Copy, Debug)]
 pub struct IntensityStep(u32);
 
-impl std::str::FromStr for IntensityStep {
+impl FromStr for IntensityStep {
     type Err = String;
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
@@ -208,7 +289,7 @@ impl std::str::FromStr for IntensityStep {
 #[derive(Clone, Copy, Debug)]
 pub struct RateArg(Rate);
 
-impl std::str::FromStr for RateArg {
+impl FromStr for RateArg {
     type Err = String;
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
@@ -234,22 +315,17 @@ fn packing_names() -> Vec<&'static str> {
     Packing::ALL.iter().map(|packing| packing.name()).collect()
 }
 
-/// The encoder's settings; if they do not fit together, ends the program as for any wrong usage.
-pub fn config(subcommand: &str, coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
-    coding.config(threads.threads).unwrap_or_else(|error| wrong_usage(subcommand, error))
-}
-
-/// Like [`config`], but always in paper mode.
-pub fn paper_config(subcommand: &str, coding: &CodingArgs, threads: &Threads) -> EncoderConfig {
-    config(subcommand, &CodingArgs { mode: Some(ModeArg::Paper), ..coding.clone() }, threads)
-}
-
 impl CodingArgs {
+    /// The same options, but in paper mode.
+    pub fn in_paper_mode(&self) -> Self {
+        CodingArgs { mode: Some(ModeArg::Paper), ..self.clone() }
+    }
+
     /// The encoder's settings.
     ///
     /// # Errors
     /// If the options do not fit together.
-    fn config(&self, threads: usize) -> Result<EncoderConfig> {
+    pub fn config(&self, threads: usize) -> Result<EncoderConfig> {
         let mut config = EncoderConfig::preset(self.preset()?);
         if let Some(IntensityStep(step_millionths)) = self.intensity_step {
             config.intensity = Intensity::Rounded { step_millionths };
@@ -376,6 +452,52 @@ impl CodingArgs {
             filter.neighbours = self.outlier_neighbours.unwrap_or(filter.neighbours);
             filter.radius_m = self.outlier_radius.map_or(filter.radius_m, Length::metres);
             config.outliers = Some(filter);
+        }
+    }
+}
+
+impl RegionArgs {
+    /// Applies the given options to the settings.
+    pub fn choose(&self, config: &mut EncoderConfig) {
+        let segmentation = &mut config.segmentation;
+        set(&mut segmentation.ground_angle, self.ground_angle);
+        set(&mut segmentation.ground_rise_m, self.ground_rise.map(Length::metres));
+        set(&mut segmentation.ground_reach_m, self.ground_reach.map(Length::metres));
+        set(&mut segmentation.cluster_angle, self.cluster_angle);
+        set(&mut segmentation.smallest_cluster, self.smallest_cluster);
+        let intra = &mut config.intra;
+        let models = self.regions.map(|regions| match regions {
+            RegionsArg::Article => RegionModels::Article,
+            RegionsArg::Fitted => RegionModels::Fitted,
+        });
+        set(&mut intra.models, models);
+        set(&mut intra.lambda, self.lambda);
+        set(&mut intra.ransac.tolerance_m, self.plane_tolerance.map(Length::metres));
+        set(&mut intra.ransac.foreseeable_support, self.plane_support);
+        set(&mut intra.ransac.confidence, self.plane_confidence);
+        set(&mut intra.ransac.seed, self.plane_seed);
+    }
+}
+
+fn set<T>(setting: &mut T, value: Option<T>) {
+    if let Some(value) = value {
+        *setting = value;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_are_read() {
+        let read = |text: &str| text.parse::<Length>().ok().map(|length| length.0);
+        assert_eq!(read("2mm"), Some(2000));
+        assert_eq!(read("1.5 cm"), Some(15_000));
+        assert_eq!(read("0.38m"), Some(380_000));
+        assert_eq!(read("7um"), Some(7));
+        for wrong in ["", "2", "mm", "-1mm", "0mm", "1.5um", "nanm", "infm", "2000m", "1e3", "1 km"] {
+            assert_eq!(read(wrong), None, "{wrong:?}");
         }
     }
 }

@@ -16,8 +16,8 @@ use crate::stream::{DecodeOptions, DecodedFrame, FrameRange};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
-use super::args::{DecodeArgs, FormatArg};
-use super::errors::{about, say, wrong_usage};
+use super::args::{DecodeArgs, FormatArg, wrong_usage};
+use super::errors::{about, say};
 use super::input::{Input, check_stdin_once, is_dash, is_pipe, name_of, open, tell_files_left_out};
 use super::losses::{LossReport, Losses};
 use super::output::{FolderOutput, check_json, print_json};

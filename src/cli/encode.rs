@@ -16,19 +16,19 @@ use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
 use serde::Serialize;
 
-use super::args::EncodeArgs;
+use super::args::{EncodeArgs, encoder_config, wrong_usage};
 use super::cleanup::SayOnSignal;
-use super::errors::{about, wrong_usage};
+use super::errors::about;
 use super::frames::{self, Found};
 use super::input::is_dash;
 use super::output::{FileOutput, check_json, name_of_output, print_json};
 use super::partial::{self, PartialOutput};
-use super::{coding, messages, progress, recording, table, tree};
+use super::{messages, progress, recording, table, tree};
 
 pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     let args = &EncodeArgs { output: Some(output_of(args)), verify: args.verify || args.rm, ..args.clone() };
     let is_piped = args.inputs.iter().any(|input| is_dash(input));
-    let mut config = coding::config("encode", &args.coding, &args.threads);
+    let mut config = encoder_config("encode", &args.coding, args.threads.threads);
     check(args, &config);
     if args.messages {
         return messages::encode(args, &config, quiet);

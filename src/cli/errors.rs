@@ -1,26 +1,8 @@
 //! Errors in one line: `lidarpc: PATH: what is wrong; what to do`.
 
 use std::io::{self, ErrorKind};
-use std::path::Path;
 
-use clap::CommandFactory;
-use clap::error::ErrorKind as ClapKind;
-
-use super::args::Args;
-use super::output::name_of_output;
 use crate::ground::error::Error;
-
-/// Ends the program as clap does for wrong usage of this subcommand.
-pub fn wrong_usage(subcommand: &str, what: impl std::fmt::Display) -> ! {
-    let mut program = Args::command();
-    // Before this, subcommands do not know the name of the program.
-    program.build();
-    let command = program.find_subcommand_mut(subcommand);
-    match command {
-        Some(command) => command.error(ClapKind::ArgumentConflict, what).exit(),
-        None => program.error(ClapKind::ArgumentConflict, what).exit(),
-    }
-}
 
 /// Prints the error on stderr and returns the exit code. A closed pipe is not an error: the reader needs no
 /// more.
@@ -67,11 +49,6 @@ pub fn about(error: Error, name: &str) -> anyhow::Error {
         Error::At { .. } | Error::Input { .. } => error.into(),
         _ => error.at(name).into(),
     }
-}
-
-/// An error while an output is written: about that output, unless the error itself names a file.
-pub fn about_output(error: anyhow::Error, path: &Path) -> anyhow::Error {
-    if error.is::<io::Error>() { error.context(name_of_output(path)) } else { error }
 }
 
 /// The contexts, which name the file, then what is wrong and what to do about it. Errors of files all have one; those

@@ -10,10 +10,10 @@ use crate::study::metrics;
 use anyhow::Result;
 use serde::Serialize;
 
-use super::args::EstimateArgs;
-use super::errors::{about, wrong_usage};
+use super::args::{EstimateArgs, encoder_config, wrong_usage};
+use super::errors::about;
 use super::output::print_json;
-use super::{coding, frames, progress, recording, table};
+use super::{frames, progress, recording, table};
 
 /// Number of groups that are encoded, spread over the sequence.
 const GROUPS: usize = 3;
@@ -35,7 +35,7 @@ pub fn run(args: &EstimateArgs, quiet: bool) -> Result<()> {
     if args.inputs.iter().any(|input| recording::is_recording(input)) {
         wrong_usage("estimate", "estimates are for scans; `encode` a recording and see `stats`");
     }
-    let mut config = coding::config("estimate", &args.coding, &args.threads);
+    let mut config = encoder_config("estimate", &args.coding, args.threads.threads);
     let found = find_frames(&args.inputs)?.frames;
     let place = frames::name_of_inputs(&args.inputs);
     frames::settle_layout(&found, &mut config, &place, quiet)?;

@@ -11,7 +11,8 @@ use crate::files::sequence::find_frames;
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::{self, DecodeOptions, DecodedFrame};
 
-use super::errors::{about, is_closed_pipe, say, wrong_usage};
+use super::args::wrong_usage;
+use super::errors::{about, is_closed_pipe, say};
 use super::table;
 
 /// A stream to read.

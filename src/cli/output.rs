@@ -16,8 +16,9 @@ use crate::ground::error::{Error, Result};
 use serde::Serialize;
 use tempfile::{NamedTempFile, TempDir, TempPath};
 
+use super::args::wrong_usage;
 use super::cleanup::RemoveOnSignal;
-use super::errors::{about, wrong_usage};
+use super::errors::about;
 use super::input::is_dash;
 use super::temporary;
 
@@ -441,6 +442,11 @@ pub fn not_created(path: &Path, within: &Path, error: io::Error) -> Error {
 /// The name of an output in messages.
 pub fn name_of_output(path: &Path) -> String {
     if is_dash(path) { "stdout".to_owned() } else { path.display().to_string() }
+}
+
+/// An error while an output is written: about that output, unless the error itself names a file.
+pub fn about_output(error: anyhow::Error, path: &Path) -> anyhow::Error {
+    if error.is::<io::Error>() { error.context(name_of_output(path)) } else { error }
 }
 
 /// An error if a scan must not be written here: over a folder, or over an existing path without `force`.

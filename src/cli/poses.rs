@@ -9,9 +9,9 @@ use crate::stream::{self, DecodeOptions, DecodedFrame};
 use anyhow::Result;
 
 use super::args::StatsArgs;
-use super::errors::{about, about_output};
+use super::errors::about;
 use super::input::{name_of, open};
-use super::output::{FileOutput, keep_inputs, name_of_output};
+use super::output::{FileOutput, about_output, keep_inputs, name_of_output};
 use super::progress;
 
 pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {

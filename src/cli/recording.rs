@@ -17,9 +17,9 @@ use crate::study::metrics;
 use anyhow::{Result, bail, ensure};
 use serde::Serialize;
 
-use super::args::{DecodeArgs, EncodeArgs, FormatArg, StatsArgs};
+use super::args::{DecodeArgs, EncodeArgs, FormatArg, StatsArgs, wrong_usage};
 use super::encode::{self, FidelityReport};
-use super::errors::{NotWhole, about, wrong_usage};
+use super::errors::{NotWhole, about};
 use super::input::{first_bytes, is_dash};
 use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
 use super::{progress, table};

@@ -13,8 +13,8 @@ use crate::study::metrics;
 use anyhow::Result;
 use serde::Serialize;
 
-use super::args::StatsArgs;
-use super::errors::{about, wrong_usage};
+use super::args::{StatsArgs, wrong_usage};
+use super::errors::about;
 use super::input::{Input, Originals, name_of, open};
 use super::output::print_json;
 use super::{poses, recording, steps, table};

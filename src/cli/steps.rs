@@ -9,11 +9,11 @@ use crate::stream::{self, DecodeOptions, DecodedFrame, FrameInput};
 use anyhow::Result;
 use serde::Serialize;
 
-use super::args::StatsArgs;
+use super::args::{StatsArgs, encoder_config};
 use super::errors::about;
 use super::input::{name_of, open};
 use super::output::print_json;
-use super::{coding, in_memory, progress, table};
+use super::{in_memory, progress, table};
 
 /// The complete report; all values are means over frames.
 #[derive(Serialize)]
@@ -58,7 +58,7 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     } else {
         let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
         let frames = FrameInput::found(frames);
-        let config = coding::config("stats", &args.coding, &args.threads);
+        let config = encoder_config("stats", &args.coding, args.threads.threads);
         let (encoding, stream) = in_memory::encode(&frames, &config, quiet)?;
         (Some(encoding), decode(&stream[..], args, quiet)?, range_step(&config))
     };

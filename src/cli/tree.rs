@@ -17,9 +17,9 @@ use anyhow::{Context, Result, bail, ensure};
 use indicatif::ProgressBar;
 use serde::Serialize;
 
-use super::args::{DecodeArgs, EncodeArgs};
+use super::args::{DecodeArgs, EncodeArgs, wrong_usage};
 use super::encode::{LeftOutReport, Report, encode_whole, remove, summary};
-use super::errors::{NotWhole, say, wrong_usage};
+use super::errors::{NotWhole, say};
 use super::frames::{self, Found};
 use super::input::is_pipe;
 use super::output::{create_folders, parent, print_json};

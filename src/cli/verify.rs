@@ -11,8 +11,8 @@ use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Result, bail};
 use serde::Serialize;
 
-use super::args::VerifyArgs;
-use super::errors::{about, line, wrong_usage};
+use super::args::{VerifyArgs, wrong_usage};
+use super::errors::{about, line};
 use super::input::{Originals, for_each_file, name_of, open};
 use super::output::print_json;
 use super::{progress, recording, table};

@@ -16,13 +16,11 @@ use crate::study::metrics::{nearest_distances, paired_distances};
 use crate::study::picture::{self, BirdsEye, Perspective, Picture};
 use anyhow::{Context, Result, ensure};
 
-use super::args::{Threads, ViewArgs};
-use super::errors::{about, about_output, wrong_usage};
+use super::args::{PictureKind, ViewArgs, encoder_config, wrong_usage};
+use super::errors::about;
 use super::input::{Originals, name_of, open};
-use super::output::{FileOutput, keep_inputs};
-use super::{coding, in_memory, progress, recording};
-
-pub use pictures::Kind;
+use super::output::{FileOutput, about_output, keep_inputs};
+use super::{in_memory, progress, recording};
 use pictures::{PICTURES, Pictures};
 
 pub fn run(args: &ViewArgs, quiet: bool) -> Result<()> {
@@ -41,7 +39,7 @@ fn write_picture(args: &ViewArgs, path: &Path) -> Result<()> {
         wrong_usage("view", "pictures are PNG; give -o a name that ends in .png");
     }
     keep_inputs(path, std::slice::from_ref(&args.input))?;
-    let config = coding::config("view", &args.coding, &Threads { threads: 1 });
+    let config = encoder_config("view", &args.coding, 1);
     let picture = draw(args, &decode(args, &config)?, &config)?;
     let mut output = FileOutput::binary(path, args.force)?;
     let mut writer = output.writer();
@@ -60,7 +58,7 @@ fn write_page(args: &ViewArgs, path: &Path, quiet: bool) -> Result<()> {
         let stream = open(&args.input)?.rewindable().map_err(|error| about(error, &name))?;
         return page_of(args, path, (stream, &name), quiet);
     }
-    let config = coding::config("view", &args.coding, &Threads { threads: 0 });
+    let config = encoder_config("view", &args.coding, 0);
     let frames = FrameInput::found(find_frames(std::slice::from_ref(&args.input))?.frames);
     let (_, stream) = in_memory::encode(&frames, &config, quiet)?;
     page_of(args, path, (Cursor::new(stream), &name), quiet)
@@ -148,23 +146,23 @@ fn draw(args: &ViewArgs, compared: &Compared, config: &EncoderConfig) -> Result<
     let positions = &frame.scan.cloud.positions;
     ensure!(!positions.is_empty(), "{name}: has no points to draw; choose another frame by --frame");
     match args.kind {
-        Kind::BirdsEye => return Ok(BirdsEye::default().draw(positions)),
-        Kind::Perspective => return Ok(Perspective::default().draw(positions)),
+        PictureKind::BirdsEye => return Ok(BirdsEye::default().draw(positions)),
+        PictureKind::Perspective => return Ok(Perspective::default().draw(positions)),
         // Without a range image this is the only possible picture, unless another one was requested.
-        Kind::All if frame.image.is_none() => return Ok(BirdsEye::default().draw(positions)),
+        PictureKind::All if frame.image.is_none() => return Ok(BirdsEye::default().draw(positions)),
         _ => {}
     }
     let none = || format!("{name}: has no range image; --kind birds-eye shows its points");
     let image = frame.image.as_ref().with_context(none)?;
     let pictures = Pictures::of(image, compared.errors().as_deref(), config, args.scale);
-    if args.kind == Kind::Overview {
-        let range = pictures.draw(Kind::Range).with_context(none)?;
+    if args.kind == PictureKind::Overview {
+        let range = pictures.draw(PictureKind::Range).with_context(none)?;
         // As wide as the range image.
         let size = [range.width(), range.width() * 2 / 5];
         let points = Perspective { size, ..Perspective::default() }.draw(positions);
         return Ok(picture::stack(&[("range, m", range), ("height, m", points)]));
     }
-    if args.kind != Kind::All {
+    if args.kind != PictureKind::All {
         let unknown = || format!("{name}: the original is not known; give it by --against FOLDER");
         return pictures.draw(args.kind).with_context(unknown);
     }

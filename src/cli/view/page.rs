@@ -12,8 +12,8 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use serde::Serialize;
 
-use super::about;
 use crate::ScalarType;
+use crate::cli::errors::about;
 use crate::ground::error;
 use crate::library::{ChannelInfo, Decoder, FrameDetails, FrameInfo, Scalar, Scan};
 

@@ -4,50 +4,22 @@ use crate::article::prediction::Rays;
 use crate::article::prediction::intra::IntraPrediction;
 use crate::article::prediction::surface::SurfaceModel;
 use crate::article::segmentation::{GROUND, UNASSIGNED, segment};
+use crate::cli::args::PictureKind;
 use crate::frame::DecodedImage;
 use crate::frame::settings::EncoderConfig;
 use crate::ground::grid::Grid;
 use crate::scanner::Alignment;
 use crate::study::picture::{self, LabelStyle, Picture, Scale, Zoom};
-use clap::ValueEnum;
-
-/// Kinds of pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Kind {
-    /// The range image, in metres.
-    Range,
-    /// Which cells hold a return.
-    Occupancy,
-    /// Ground brown, each object in a colour of its own, other returns grey.
-    Labels,
-    /// The regions that ranges are predicted from, each in a colour of its own; regions with a plane brown.
-    Regions,
-    /// The ranges predicted by the models of the regions, in metres.
-    Prediction,
-    /// The prediction residuals, in metres.
-    Residual,
-    /// The distances of points from the originals, in millimetres: from the points at the same place in the
-    /// order or, if the order has changed, from the nearest points.
-    Error,
-    /// The points from above, coloured by height.
-    BirdsEye,
-    /// The points from behind the scanner and above, coloured by height.
-    Perspective,
-    /// The range image, and the points in perspective below it.
-    Overview,
-    /// All pictures of the range image, one below the other.
-    All,
-}
 
 /// All pictures of the range image and their titles, in the order of the coding steps.
-pub const PICTURES: [(Kind, &str); 7] = [
-    (Kind::Range, "range, m"),
-    (Kind::Occupancy, "occupancy"),
-    (Kind::Labels, "ground, objects"),
-    (Kind::Regions, "regions"),
-    (Kind::Prediction, "prediction, m"),
-    (Kind::Residual, "residual, m"),
-    (Kind::Error, "error, mm"),
+pub const PICTURES: [(PictureKind, &str); 7] = [
+    (PictureKind::Range, "range, m"),
+    (PictureKind::Occupancy, "occupancy"),
+    (PictureKind::Labels, "ground, objects"),
+    (PictureKind::Regions, "regions"),
+    (PictureKind::Prediction, "prediction, m"),
+    (PictureKind::Residual, "residual, m"),
+    (PictureKind::Error, "error, mm"),
 ];
 
 /// The contents of a range image's pictures, ready to be drawn. Ranges are in millimetres, whatever the
@@ -122,21 +94,25 @@ impl Pictures {
     }
 
     /// The picture of a kind; `None` if it shows errors and these are unknown.
-    pub fn draw(&self, kind: Kind) -> Option<Picture> {
+    pub fn draw(&self, kind: PictureKind) -> Option<Picture> {
         let of_ranges =
             || Scale::of_ranges(self.ranges.cells().iter().map(|&range| f64::from(range) * MILLIMETRE));
         Some(match kind {
-            Kind::Occupancy => picture::occupancy(&self.occupancy, self.zoom),
-            Kind::Labels => picture::labels(&self.labels, style_of_label, self.zoom),
-            Kind::Regions => {
+            PictureKind::Occupancy => picture::occupancy(&self.occupancy, self.zoom),
+            PictureKind::Labels => picture::labels(&self.labels, style_of_label, self.zoom),
+            PictureKind::Regions => {
                 picture::labels(&self.intra.labels, |region| self.style_of_region(region), self.zoom)
             }
-            Kind::Prediction => picture::range(&self.predicted, MILLIMETRE, &of_ranges(), self.zoom),
-            Kind::Residual => picture::residual(&self.residuals(), &self.occupancy, MILLIMETRE, self.zoom),
-            Kind::Error => picture::error(self.errors.as_ref()?, self.zoom),
-            Kind::Range | Kind::BirdsEye | Kind::Perspective | Kind::Overview | Kind::All => {
-                picture::range(&self.ranges, MILLIMETRE, &of_ranges(), self.zoom)
+            PictureKind::Prediction => picture::range(&self.predicted, MILLIMETRE, &of_ranges(), self.zoom),
+            PictureKind::Residual => {
+                picture::residual(&self.residuals(), &self.occupancy, MILLIMETRE, self.zoom)
             }
+            PictureKind::Error => picture::error(self.errors.as_ref()?, self.zoom),
+            PictureKind::Range
+            | PictureKind::BirdsEye
+            | PictureKind::Perspective
+            | PictureKind::Overview
+            | PictureKind::All => picture::range(&self.ranges, MILLIMETRE, &of_ranges(), self.zoom),
         })
     }
 
