@@ -5,16 +5,14 @@ use std::io::{self, BufReader, Seek, Write};
 use std::path::PathBuf;
 use std::time::Instant;
 
-use crate::container::Unit;
 use crate::edit;
 use crate::files::sequence::{FoundFile, LeftOut, STREAM_EXTENSION};
 use crate::files::{ArrivedFile, ArrivingFrames};
-use crate::frame::{EncoderConfig, Intensity, Positions};
+use crate::frame::EncoderConfig;
 use crate::ground::error::Error;
 use crate::stream::{self, DecodeOptions, DecodedFrame, Encoded, FrameInput};
 use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
-use serde::Serialize;
 
 use super::args::{EncodeArgs, encoder_config, wrong_usage};
 use super::cleanup::SayOnSignal;
@@ -23,6 +21,7 @@ use super::frames::{self, Found};
 use super::input::is_dash;
 use super::output::{FileOutput, check_json, name_of_output, print_json};
 use super::partial::{self, PartialOutput};
+use super::report::{StreamReport, summary};
 use super::{messages, progress, recording, table, tree};
 
 pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
@@ -79,8 +78,9 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
         }
     }
     if args.json {
-        let report = Report::of(args, &config, &encoded, &left_out, seconds);
-        print_json(&Report { was_complete, ..report })?;
+        let mut report = StreamReport::of(args, &config, &encoded, &left_out, seconds);
+        report.was_complete = was_complete;
+        print_json(&report)?;
     } else if was_complete && !quiet {
         let (name, frames) =
             (name_of_output(args.output()), table::count(encoded.frames.len() as u64, "frame"));
@@ -315,204 +315,4 @@ fn compare(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Res
         "decodes to something else, so it does not get this name; please report this"
     );
     Ok(())
-}
-
-/// Files in which no points were recognised, and which are therefore stored as bytes.
-fn plain_bytes(encoded: &Encoded) -> impl Iterator<Item = &str> {
-    let frames = encoded.frames.iter().filter(|frame| frame.stamp.unit != Unit::Beside);
-    frames.filter(|frame| frame.point_count == 0 && frame.file_size > 0).map(|frame| &frame.name[..])
-}
-
-/// The result in one line: what was saved, what was lost, and other remarks on the files.
-pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &Encoded) -> String {
-    let ratio = metrics::ratio(encoded.file_bytes(), encoded.stream_bytes);
-    let of_scans = encoded.stream_bytes - encoded.beside_coded;
-    let bits = metrics::bits_per_point(of_scans, encoded.points);
-    let beside = match encoded.beside {
-        0 => String::new(),
-        files => format!(
-            ", of them {} in {} beside the scans, which alone take {}",
-            table::bytes(encoded.beside_bytes),
-            table::count(files, "file"),
-            table::percent(metrics::ratio(encoded.file_bytes() - encoded.beside_bytes, of_scans))
-        ),
-    };
-    let mut line = format!(
-        "{}{}: {} -> {} ({}{beside}, {} bits a point), {}",
-        table::count(encoded.frames.len() as u64 - encoded.beside, "frame"),
-        match encoded.resumed_frames {
-            0 => String::new(),
-            resumed => format!(", {resumed} of them from the interrupted run"),
-        },
-        table::bytes(encoded.file_bytes()),
-        table::bytes(encoded.stream_bytes),
-        table::percent(ratio),
-        table::decimals(bits),
-        fidelity(config, Some(encoded)),
-    );
-    let mut plain = plain_bytes(encoded);
-    if let Some(first) = plain.next() {
-        let first = first.replace(char::is_control, "?");
-        line.push_str(&match plain.count() {
-            0 => format!(", 1 file as plain bytes ({first})"),
-            more => format!(", {} files as plain bytes (such as {first})", more + 1),
-        });
-    }
-    if encoded.unmodelled > 0 {
-        line.push_str(&format!(", {} without a model that fits", table::count(encoded.unmodelled, "frame")));
-    }
-    if args.verify {
-        line.push_str(match config.positions {
-            _ if config.is_exact() => {
-                ", verified (names and bytes; times and permissions of files are not stored)"
-            }
-            Positions::Bounded { .. } => ", verified (names, and that all points are within the bound)",
-            _ => ", verified (names, and that every frame decodes as it did while it was encoded)",
-        });
-    }
-    line
-}
-
-/// How accurately points are restored, and in paper mode how many were dropped, if that was counted.
-pub fn fidelity(config: &EncoderConfig, encoded: Option<&Encoded>) -> String {
-    let mut words = match config.positions {
-        Positions::Exact => "lossless".to_owned(),
-        Positions::Bounded { max_error_um, .. } => {
-            let within = format!("within {} mm", f64::from(max_error_um) / 1000.0);
-            match encoded
-                .map_or((0, 0), |encoded| (encoded.exact, encoded.frames.len() as u64 - encoded.beside))
-            {
-                (0, _) => within,
-                (exact, scans) if exact == scans => {
-                    format!("{within} (all exact: the bound saves nothing here)")
-                }
-                (exact, scans) => {
-                    format!("{within} ({exact} of {scans} exact, where the bound saves nothing)")
-                }
-            }
-        }
-        Positions::Formula => match encoded {
-            Some(encoded) => {
-                let dropped = encoded.outliers + encoded.lost;
-                let share = table::percent(metrics::ratio(encoded.points, dropped));
-                format!("paper mode: {} points dropped ({share})", table::grouped(dropped))
-            }
-            None => "paper mode".to_owned(),
-        },
-    };
-    words.push_str(&match config.intensity {
-        Intensity::Exact => String::new(),
-        Intensity::None => ", intensities dropped".to_owned(),
-        Intensity::Rounded { step_millionths } => {
-            format!(", intensities in steps of {}", f64::from(step_millionths) / 1e6)
-        }
-    });
-    words
-}
-
-/// The machine-readable report.
-#[derive(Serialize)]
-pub struct Report {
-    pub file: String,
-    #[serde(flatten)]
-    fidelity: FidelityReport,
-    pub frames: u64,
-    /// Files beside the scans; their bytes are included in `file_bytes`.
-    files_beside: u64,
-    bytes_beside: u64,
-    /// Whether the output was complete before, so that nothing was encoded.
-    was_complete: bool,
-    resumed_frames: u64,
-    points: u64,
-    outliers_dropped: u64,
-    points_lost: u64,
-    pub file_bytes: u64,
-    pub stream_bytes: u64,
-    ratio: Option<f64>,
-    bits_per_point: Option<f64>,
-    /// Names of files in which no points were recognised.
-    plain_bytes: Vec<String>,
-    unmodelled_frames: u64,
-    exact_frames: u64,
-    left_out: Vec<LeftOutReport>,
-    verified: bool,
-    seconds: f64,
-}
-
-/// How accurately points are restored.
-#[derive(Serialize)]
-pub struct FidelityReport {
-    mode: &'static str,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    max_error_m: Option<f64>,
-}
-
-impl FidelityReport {
-    /// That of these settings.
-    pub fn of(config: &EncoderConfig) -> Self {
-        let (mode, max_error_m) = match config.positions {
-            Positions::Exact => ("exact", None),
-            Positions::Bounded { max_error_um, .. } => ("bounded", Some(f64::from(max_error_um) * 1e-6)),
-            Positions::Formula => ("paper", None),
-        };
-        FidelityReport { mode, max_error_m }
-    }
-}
-
-#[derive(Serialize)]
-pub struct LeftOutReport {
-    what: &'static str,
-    count: u64,
-    bytes: u64,
-    first: String,
-}
-
-impl LeftOutReport {
-    /// An entry for each kind of item that was left out.
-    pub fn of(left_out: &LeftOut) -> Vec<Self> {
-        let each = left_out.0.iter().map(|(kind, paths)| LeftOutReport {
-            what: kind.name(),
-            count: paths.count,
-            bytes: paths.bytes,
-            first: paths.first.clone(),
-        });
-        each.collect()
-    }
-}
-
-impl Report {
-    /// The report of a run.
-    pub fn of(
-        args: &EncodeArgs,
-        config: &EncoderConfig,
-        encoded: &Encoded,
-        left_out: &LeftOut,
-        seconds: f64,
-    ) -> Self {
-        Report {
-            file: args.output().display().to_string(),
-            fidelity: FidelityReport::of(config),
-            frames: encoded.frames.len() as u64 - encoded.beside,
-            files_beside: encoded.beside,
-            bytes_beside: encoded.beside_bytes,
-            was_complete: false,
-            resumed_frames: encoded.resumed_frames,
-            points: encoded.points,
-            outliers_dropped: encoded.outliers,
-            points_lost: encoded.lost,
-            file_bytes: encoded.file_bytes(),
-            stream_bytes: encoded.stream_bytes,
-            ratio: metrics::ratio(encoded.file_bytes(), encoded.stream_bytes),
-            bits_per_point: metrics::bits_per_point(
-                encoded.stream_bytes - encoded.beside_coded,
-                encoded.points,
-            ),
-            plain_bytes: plain_bytes(encoded).map(str::to_owned).collect(),
-            unmodelled_frames: encoded.unmodelled,
-            exact_frames: encoded.exact,
-            left_out: LeftOutReport::of(left_out),
-            verified: args.verify,
-            seconds,
-        }
-    }
 }

@@ -18,11 +18,11 @@ use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, wrong_usage};
 use super::decode::{Converter, File};
-use super::encode::{FidelityReport, fidelity};
 use super::errors::about;
 use super::frames;
 use super::input::{is_dash, name_of, open};
 use super::output::{FileOutput, FolderOutput, name_of_output, print_json};
+use super::report::{FidelityReport, fidelity};
 use super::table;
 
 /// The machine-readable report.

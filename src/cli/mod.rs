@@ -24,6 +24,7 @@ mod progress;
 mod record_length;
 mod recording;
 mod repair;
+mod report;
 mod stats;
 mod steps;
 mod synth;
@@ -39,7 +40,6 @@ use std::process::ExitCode;
 
 use args::{Args, Command};
 use clap::Parser;
-use errors::report;
 
 /// The whole program: arguments in, exit code out.
 pub fn main() -> ExitCode {
@@ -53,7 +53,7 @@ pub fn main_of(args: impl IntoIterator<Item = OsString>) -> u8 {
     let args = Args::parse_from(levels_in_short(args));
     match run(&args) {
         Ok(()) => errors::DONE,
-        Err(error) => report(&error),
+        Err(error) => errors::report(&error),
     }
 }
 
@@ -96,7 +96,7 @@ fn keep_memory() {}
 /// Executes the command in the arguments.
 ///
 /// # Errors
-/// All errors; [`report`] prints them and chooses the exit code.
+/// All errors; [`errors::report`] prints them and chooses the exit code.
 fn run(args: &Args) -> anyhow::Result<()> {
     cleanup::on_signals();
     match &args.command {

@@ -18,10 +18,10 @@ use anyhow::{Result, bail, ensure};
 use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, FormatArg, StatsArgs, wrong_usage};
-use super::encode::{self, FidelityReport};
 use super::errors::{NotWhole, about};
 use super::input::{first_bytes, is_dash};
 use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
+use super::report::{FidelityReport, fidelity};
 use super::{progress, table};
 
 /// Whether a file is a recording: by its first bytes, or, if it does not exist yet or cannot be read twice, by its name.
@@ -183,7 +183,7 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
             table::bytes(encoded.file_bytes()),
             table::bytes(encoded.stream_bytes),
             table::percent(metrics::ratio(encoded.file_bytes(), encoded.stream_bytes)),
-            encode::fidelity(config, Some(&encoded)),
+            fidelity(config, Some(&encoded)),
             left_out_of(left_out),
             start.elapsed().as_secs_f64(),
         );
@@ -474,7 +474,7 @@ fn say(
             table::count(copied.clouds, "cloud"),
             match encoded {
                 Some((config, _)) if copied.clouds > 0 => {
-                    format!(", {}", encode::fidelity(config, None))
+                    format!(", {}", fidelity(config, None))
                 }
                 _ => String::new(),
             },

@@ -18,11 +18,12 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, wrong_usage};
-use super::encode::{LeftOutReport, Report, encode_whole, remove, summary};
+use super::encode::{encode_whole, remove};
 use super::errors::{NotWhole, say};
 use super::frames::{self, Found};
 use super::input::is_pipe;
 use super::output::{create_folders, parent, print_json};
+use super::report::{LeftOutReport, StreamReport, summary};
 use super::{decode, in_memory, progress, table};
 
 /// Whether an output is a folder: it is one, or its name ends in a slash.
@@ -39,7 +40,7 @@ struct Drive {
 /// The machine-readable report.
 #[derive(Serialize)]
 struct TreeReport<'a> {
-    drives: Vec<&'a Report>,
+    drives: Vec<&'a StreamReport>,
     /// Items left out of all inputs; the drives do not list their own.
     left_out: Vec<LeftOutReport>,
 }
@@ -65,7 +66,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     let reports = encode_each(args, &each, &drives, jobs, &bar, quiet);
     bar.finish_and_clear();
     let failed = reports.iter().filter(|report| report.is_err()).count();
-    let done: Vec<(Report, String)> = reports.into_iter().flatten().collect();
+    let done: Vec<(StreamReport, String)> = reports.into_iter().flatten().collect();
     if args.json {
         print_json(&TreeReport {
             drives: done.iter().map(|(report, _)| report).collect(),
@@ -87,7 +88,7 @@ fn encode_each(
     jobs: usize,
     bar: &ProgressBar,
     quiet: bool,
-) -> Vec<Result<(Report, String)>> {
+) -> Vec<Result<(StreamReport, String)>> {
     let (next, reports) = (AtomicUsize::new(0), Mutex::new(BTreeMap::new()));
     std::thread::scope(|scope| {
         for _ in 0..jobs.min(drives.len()) {
@@ -108,13 +109,13 @@ fn encode_each(
 }
 
 /// Prints a line for each drive, unless there are many, and one for all. `skipped` had been encoded before.
-fn print(done: &[(Report, String)], skipped: usize, is_verbose: bool, start: Instant) {
+fn print(done: &[(StreamReport, String)], skipped: usize, is_verbose: bool, start: Instant) {
     /// The largest number of drives whose lines are printed unasked.
     const FEW: usize = 20;
     for (report, line) in done.iter().filter(|_| done.len() <= FEW || is_verbose) {
         eprintln!("{}: {line}", report.file);
     }
-    let of_all = |count: fn(&Report) -> u64| done.iter().map(|(report, _)| count(report)).sum::<u64>();
+    let of_all = |count: fn(&StreamReport) -> u64| done.iter().map(|(report, _)| count(report)).sum::<u64>();
     let (before, after) = (of_all(|report| report.file_bytes), of_all(|report| report.stream_bytes));
     let skipped = match skipped {
         0 => String::new(),
@@ -207,7 +208,7 @@ fn encode_drive(
     config: &EncoderConfig,
     drive: &Drive,
     quiet: bool,
-) -> Result<(Report, String)> {
+) -> Result<(StreamReport, String)> {
     let start = Instant::now();
     let args = &EncodeArgs { output: Some(drive.output.clone()), ..args.clone() };
     let place = drive.output.display().to_string();
@@ -220,7 +221,7 @@ fn encode_drive(
     if args.rm {
         remove(&drive.found, &args.inputs)?;
     }
-    let report = Report::of(args, &config, &encoded, &left_out, start.elapsed().as_secs_f64());
+    let report = StreamReport::of(args, &config, &encoded, &left_out, start.elapsed().as_secs_f64());
     Ok((report, summary(args, &config, &encoded)))
 }
 

@@ -1,5 +1,7 @@
 //! The fidelity of decoded points: how accurately positions and intensities are restored. FORMAT.md 8.10.
 
+use std::fmt;
+
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, read_within, write_unsigned};
 use crate::scanner::Coordinates;
@@ -80,6 +82,32 @@ impl Positions {
                 Ok(Positions::Bounded { max_error_um, on_grid: code == 3 })
             }
             other => Err(Error::unsupported(format!("frame parameters: unknown positions {other}"))),
+        }
+    }
+}
+
+/// In words: `exact`, `range image`, `within 10 mm`.
+impl fmt::Display for Positions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Positions::Exact => f.write_str("exact"),
+            Positions::Formula => f.write_str("range image"),
+            Positions::Bounded { max_error_um, .. } => {
+                write!(f, "within {} mm", f64::from(*max_error_um) / 1000.0)
+            }
+        }
+    }
+}
+
+/// In words: `intensities exact`, `intensities dropped`, `intensities in steps of 0.05`.
+impl fmt::Display for Intensity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Intensity::Exact => f.write_str("intensities exact"),
+            Intensity::None => f.write_str("intensities dropped"),
+            Intensity::Rounded { step_millionths } => {
+                write!(f, "intensities in steps of {}", f64::from(*step_millionths) / 1e6)
+            }
         }
     }
 }

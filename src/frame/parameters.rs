@@ -207,18 +207,10 @@ impl FrameParameters {
 impl FrameParameters {
     /// How accurately points are restored, in words.
     pub fn fidelity(&self) -> String {
-        let positions = match self.positions {
-            Positions::Exact => "exact".to_owned(),
-            Positions::Formula => "range image".to_owned(),
-            Positions::Bounded { max_error_um, .. } => {
-                format!("within {} mm", f64::from(max_error_um) / 1000.0)
-            }
-        };
-        match self.intensity {
-            Intensity::Rounded { step_millionths } => {
-                format!("{positions}, intensities in steps of {}", f64::from(step_millionths) / 1e6)
-            }
-            Intensity::Exact | Intensity::None => positions,
+        let FrameParameters { positions, intensity, .. } = self;
+        match intensity {
+            Intensity::Rounded { .. } => format!("{positions}, {intensity}"),
+            Intensity::Exact | Intensity::None => positions.to_string(),
         }
     }
 }
