@@ -12,8 +12,7 @@ use anyhow::{Result, ensure};
 
 use super::args::{ARTICLE, BenchArgs, encoder_config, wrong_usage};
 use super::errors::about;
-use super::in_memory::is_stream;
-use super::input::{is_dash, name_of};
+use super::input::{is_dash, is_stream, name_of};
 use super::output::{FileOutput, name_of_output, print_json};
 use super::progress;
 

@@ -1,6 +1,6 @@
 //! `lidarpc cat`
 
-use std::io::{Read, Write};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -12,9 +12,9 @@ use serde::Serialize;
 
 use super::args::CatArgs;
 use super::errors::about;
-use super::input::{Input, check_stdin_once, name_of};
+use super::input::{Input, check_stdin_once, name_of, refuse_recordings};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
-use super::{recording, table};
+use super::table;
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -30,12 +30,12 @@ pub fn run(args: &CatArgs, quiet: bool) -> Result<()> {
     check_stdin_once("cat", &args.inputs);
     check_json("cat", args.json, &args.output);
     let start = Instant::now();
-    recording::refuse("cat", &args.inputs, "encode the clouds of each to FILE.lpc, and join these");
+    refuse_recordings("cat", &args.inputs, "encode the clouds of each to FILE.lpc, and join these");
     keep_inputs(&args.output, &args.inputs)?;
     let mut output = FileOutput::binary(&args.output, args.force)?;
     let name = name_of_output(&args.output);
-    let joined =
-        write_stream(&args.inputs, args.limits.limits(), &mut output).map_err(|error| about(error, &name))?;
+    let streams = args.inputs.iter().map(|path| open(path, args.limits.limits()));
+    let joined = output.write(|out| edit::cat(streams, out)).map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
     let seconds = start.elapsed().as_secs_f64();
     if args.json {
@@ -45,13 +45,6 @@ pub fn run(args: &CatArgs, quiet: bool) -> Result<()> {
         eprintln!("{} in {seconds:.1} s", summary(&joined));
     }
     Ok(())
-}
-
-fn write_stream(inputs: &[PathBuf], limits: Limits, output: &mut FileOutput) -> error::Result<Joined> {
-    let mut writer = output.writer();
-    let joined = edit::cat(inputs.iter().map(|path| open(path, limits)), &mut writer)?;
-    writer.flush()?;
-    Ok(joined)
 }
 
 fn summary(joined: &Joined) -> String {

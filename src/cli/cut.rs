@@ -10,11 +10,10 @@ use anyhow::Result;
 use serde::Serialize;
 
 use super::args::CutArgs;
-use super::decode::chosen_frames;
 use super::errors::about;
-use super::input::{Input, name_of, open, tell_files_left_out};
+use super::input::{Input, chosen_frames, name_of, open, refuse_recordings, tell_files_left_out};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
-use super::{recording, table};
+use super::table;
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -32,13 +31,14 @@ pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
     check_json("cut", args.json, &args.output);
     let start = Instant::now();
     let inputs = std::slice::from_ref(&args.input);
-    recording::refuse("cut", inputs, "encode its clouds to FILE.lpc, and cut that");
+    refuse_recordings("cut", inputs, "encode its clouds to FILE.lpc, and cut that");
     let input = open(&args.input)?;
     keep_inputs(&args.output, inputs)?;
     let frames = chosen_frames("cut", &args.input, (args.frames, args.time), args.limits.limits(), quiet)?;
     let mut output = FileOutput::binary(&args.output, args.force)?;
     let name = name_of_output(&args.output);
-    let cut = write_stream(args, input, frames, &mut output).map_err(|error| about(error, &name))?;
+    let cut =
+        output.write(|out| cut_stream(args, input, frames, out)).map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
     tell_files_left_out(&args.input, cut.files_left_out, quiet);
     let seconds = start.elapsed().as_secs_f64();
@@ -52,27 +52,20 @@ pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
     Ok(())
 }
 
-/// Reads only the necessary groups, if the input is seekable.
-fn write_stream(
+/// Copies the frames. If the input is seekable, only the necessary groups are read.
+fn cut_stream(
     args: &CutArgs,
     input: Input,
     frames: FrameRange,
-    output: &mut FileOutput,
+    out: &mut impl Write,
 ) -> crate::ground::error::Result<Cut> {
     let (path, limits) = (PathBuf::from(name_of(&args.input)), args.limits.limits());
-    let mut writer = output.writer();
-    let cut = match input {
+    match input {
         Input::File(file) => {
-            let input = Named { path, stream: BufReader::new(file) };
-            edit::cut_indexed(input, frames, &limits, &mut writer)
+            edit::cut_indexed(Named { path, stream: BufReader::new(file) }, frames, &limits, out)
         }
-        pipe => {
-            let input = Named { path, stream: pipe.reader() };
-            edit::cut(input, frames, &limits, &mut writer)
-        }
-    }?;
-    writer.flush()?;
-    Ok(cut)
+        pipe => edit::cut(Named { path, stream: pipe.reader() }, frames, &limits, out),
+    }
 }
 
 fn summary(cut: &Cut) -> String {

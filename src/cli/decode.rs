@@ -6,22 +6,24 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-use crate::container::{IndexedReader, Unit};
+use crate::container::Unit;
 use crate::edit::{self, Recovered};
 use crate::files::sequence::STREAM_EXTENSION;
 use crate::files::{FileFormat, Give, convert, is_convertible};
 use crate::ground::error::{Error, Limits};
 use crate::scan::ScanFile;
-use crate::stream::{DecodeOptions, DecodedFrame, FrameRange};
+use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
 use super::args::{DecodeArgs, FormatArg, wrong_usage};
 use super::errors::{about, say};
-use super::input::{Input, check_stdin_once, is_dash, is_pipe, name_of, open, tell_files_left_out};
+use super::input::{
+    Input, check_stdin_once, chosen_frames, is_dash, is_pipe, is_recording, name_of, open,
+    tell_files_left_out,
+};
 use super::losses::{LossReport, Losses};
 use super::output::{FolderOutput, check_json, print_json};
-use super::time_range::TimeRange;
 use super::{messages, progress, recording, table, tree};
 
 /// The machine-readable report.
@@ -54,7 +56,7 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     if args.inputs.iter().any(|input| input.is_dir()) {
         return tree::decode_all(args, quiet);
     }
-    if args.inputs.iter().any(|input| recording::is_recording(input)) {
+    if args.inputs.iter().any(|input| is_recording(input)) {
         return recording::decode(args, quiet);
     }
     if !args.topic.is_empty() {
@@ -160,31 +162,6 @@ fn output_of(args: &DecodeArgs) -> PathBuf {
         }
         _ => wrong_usage("decode", "say where to, by -o FOLDER: the input gives no name for the output"),
     }
-}
-
-/// The frames selected by `--frames` or `--time`; all without these. Tells how many are left out because they have no time.
-///
-/// # Errors
-/// If there is no frame at that time, or if the times cannot be read.
-pub fn chosen_frames(
-    subcommand: &str,
-    path: &Path,
-    (frames, time): (Option<FrameRange>, Option<TimeRange>),
-    limits: Limits,
-    quiet: bool,
-) -> Result<FrameRange> {
-    let Some(time) = time else { return Ok(frames.unwrap_or_default()) };
-    let Input::File(file) = open(path)? else {
-        wrong_usage(subcommand, "--time needs a file that can be sought in; choose by --frames");
-    };
-    let reader = IndexedReader::open(BufReader::new(file), limits);
-    let found = reader.and_then(|reader| time.frames(reader.index()));
-    let (range, untimed) = found.map_err(|error| about(error, &name_of(path)))?;
-    if untimed > 0 && !quiet {
-        let frames = table::count(untimed, "frame");
-        eprintln!("lidarpc: {}: left out {frames} without a time; --frames chooses by number", name_of(path));
-    }
-    Ok(range)
 }
 
 /// Decodes as the arguments say: all frames or an error, or the intact ones. Calls `work` on each frame, and

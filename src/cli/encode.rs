@@ -1,38 +1,39 @@
-//! `lidarpc encode`
+//! `lidarpc encode`, unless the input is a recording, messages, or a tree of drives.
 
-use std::fs::{self, File};
-use std::io::{self, BufReader, Seek, Write};
+use std::fs::File;
+use std::io::{self, Seek};
 use std::path::PathBuf;
 use std::time::Instant;
 
 use crate::edit;
-use crate::files::sequence::{FoundFile, LeftOut, STREAM_EXTENSION};
+use crate::files::sequence::{LeftOut, STREAM_EXTENSION};
 use crate::files::{ArrivedFile, ArrivingFrames};
 use crate::frame::EncoderConfig;
 use crate::ground::error::Error;
-use crate::stream::{self, DecodeOptions, DecodedFrame, Encoded, FrameInput};
+use crate::stream::{self, Encoded, FrameInput};
 use crate::study::metrics;
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, ensure};
 
 use super::args::{EncodeArgs, encoder_config, wrong_usage};
 use super::cleanup::SayOnSignal;
+use super::encoding::{create_output, encode_files, finish_output, verify};
 use super::errors::about;
 use super::frames::{self, Found};
-use super::input::is_dash;
-use super::output::{FileOutput, check_json, name_of_output, print_json};
+use super::input::{is_dash, is_recording};
+use super::output::{check_json, name_of_output, print_json};
 use super::partial::{self, PartialOutput};
 use super::report::{StreamReport, summary};
 use super::{messages, progress, recording, table, tree};
 
-pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
+pub fn dispatch(args: &EncodeArgs, quiet: bool) -> Result<()> {
     let args = &EncodeArgs { output: Some(output_of(args)), verify: args.verify || args.rm, ..args.clone() };
     let is_piped = args.inputs.iter().any(|input| is_dash(input));
-    let mut config = encoder_config("encode", &args.coding, args.threads.threads);
+    let config = encoder_config("encode", &args.coding, args.threads.threads);
     check(args, &config);
     if args.messages {
         return messages::encode(args, &config, quiet);
     }
-    if args.inputs.iter().any(|input| recording::is_recording(input)) {
+    if args.inputs.iter().any(|input| is_recording(input)) {
         return recording::encode(args, &config, quiet);
     }
     if !args.topic.is_empty() {
@@ -44,55 +45,7 @@ pub fn run(args: &EncodeArgs, quiet: bool) -> Result<()> {
     if args.jobs.is_some() {
         wrong_usage("encode", "--jobs counts the drives that are encoded into a folder; the output is none");
     }
-    let start = Instant::now();
-    let found = match is_piped {
-        true => None,
-        false => Some(frames::find(args, quiet)?),
-    };
-    if let Some(found) = &found {
-        frames::settle(&found.frames, &mut config, &frames::name_of_inputs(&args.inputs), quiet)?;
-    }
-    let before = match args.resume && !args.force {
-        true => {
-            partial::complete(args.output()).map_err(|error| about(error, &name_of_output(args.output())))?
-        }
-        false => None,
-    };
-    let was_complete = before.is_some();
-    let (encoded, left_out) = match (args.resume, &found) {
-        (true, Some(found)) => {
-            let encoded = match before {
-                Some(stream) => confirm(args, &config, &found.inputs(), stream, quiet)?,
-                None => encode_in_runs(args, &config, &found.inputs(), quiet)?,
-            };
-            (encoded, found.left_out.clone())
-        }
-        (_, found) => encode_whole(args, &config, found.as_ref(), quiet)?,
-    };
-    let seconds = start.elapsed().as_secs_f64();
-    if args.verbose {
-        for (frame, stages) in encoded.frames.iter().zip(&encoded.frame_stages) {
-            let (name, original, coded) = (frame.name.escape_debug(), stages.original, stages.coded());
-            let share = table::percent(metrics::ratio(original, coded));
-            eprintln!("{name}: {} -> {} ({share})", table::bytes(original), table::bytes(coded));
-        }
-    }
-    if args.json {
-        let mut report = StreamReport::of(args, &config, &encoded, &left_out, seconds);
-        report.was_complete = was_complete;
-        print_json(&report)?;
-    } else if was_complete && !quiet {
-        let (name, frames) =
-            (name_of_output(args.output()), table::count(encoded.frames.len() as u64, "frame"));
-        let verified = if args.verify { ", verified" } else { "" };
-        eprintln!("{name}: already complete, from these {frames} with these settings{verified}");
-    } else if !quiet {
-        eprintln!("{} in {seconds:.1} s", summary(args, &config, &encoded));
-    }
-    if let Some(found) = found.filter(|_| args.rm) {
-        remove(&found, &args.inputs)?;
-    }
-    Ok(())
+    run(args, config, quiet)
 }
 
 /// Ends the program if these options do not go together.
@@ -125,11 +78,11 @@ fn output_of(args: &EncodeArgs) -> PathBuf {
         return output.clone();
     }
     let name = match &args.inputs[..] {
-        [input] if !is_dash(input) && !recording::is_recording(input) => input.file_name(),
+        [input] if !is_dash(input) && !is_recording(input) => input.file_name(),
         _ => None,
     };
     let Some(name) = name else {
-        let is_recording = args.inputs.len() == 1 && recording::is_recording(&args.inputs[0]);
+        let is_recording = args.inputs.len() == 1 && is_recording(&args.inputs[0]);
         wrong_usage(
             "encode",
             match is_recording {
@@ -144,63 +97,69 @@ fn output_of(args: &EncodeArgs) -> PathBuf {
     args.inputs[0].with_file_name(name)
 }
 
-/// Deletes the encoded files, and the folders that this leaves empty.
-pub fn remove(found: &Found, inputs: &[PathBuf]) -> Result<()> {
-    for FoundFile { path, .. } in found.frames.iter().chain(&found.beside) {
-        let removed = if path.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
-        removed.map_err(|error| about(error.into(), &path.display().to_string()))?;
-        let above =
-            path.ancestors().skip(1).take_while(|above| inputs.iter().any(|input| above.starts_with(input)));
-        // Folders that are not empty remain.
-        above.take_while(|above| fs::remove_dir(above).is_ok()).for_each(drop);
+/// The result of a run.
+struct Done {
+    encoded: Encoded,
+    left_out: LeftOut,
+    /// Whether the output was complete before, so that nothing was encoded.
+    was_complete: bool,
+}
+
+/// Encodes folders and files of scans, or frames from stdin, to one stream.
+pub fn run(args: &EncodeArgs, mut config: EncoderConfig, quiet: bool) -> Result<()> {
+    let start = Instant::now();
+    if args.inputs.iter().any(|input| is_dash(input)) {
+        let done = encode_stdin(args, &config, quiet)?;
+        return report(args, &config, &done, start, quiet);
+    }
+    let found = frames::find(args, quiet)?;
+    frames::settle(&found.frames, &mut config, &frames::name_of_inputs(&args.inputs), quiet)?;
+    let done = encode_found(args, &config, &found, quiet)?;
+    report(args, &config, &done, start, quiet)?;
+    if args.rm {
+        found.delete(&args.inputs)?;
     }
     Ok(())
 }
 
-/// Encodes to a file that exists only when complete. `found`: the frames, unless they come from stdin.
-pub fn encode_whole(
-    args: &EncodeArgs,
-    config: &EncoderConfig,
-    found: Option<&Found>,
-    quiet: bool,
-) -> Result<(Encoded, LeftOut)> {
-    let mut output = FileOutput::binary(args.output(), args.force)?;
-    if let Some(left) = partial::left_for(args.output())
-        && !quiet
-    {
-        eprintln!(
-            "lidarpc: {} of an interrupted run is left as it is; --resume goes on with it",
-            left.display()
-        );
-    }
+/// Encodes frames from stdin as they arrive.
+fn encode_stdin(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<Done> {
     let name = name_of_output(args.output());
-    let (encoded, left_out) = match found {
-        Some(found) => {
-            let encoded = write_files(config, &found.inputs(), &mut output, quiet);
-            (encoded.map_err(|error| about(error, &name))?, found.left_out.clone())
+    let mut output = create_output(args, quiet)?;
+    let bar = progress::bar(None, "encoding", quiet);
+    let mut arriving = ArrivingFrames::new(io::stdin());
+    let input = |ArrivedFile { name, bytes }| FrameInput::memory(name, bytes);
+    let frames = arriving.by_ref().map(|file| file.map(input));
+    let encoded = output.write(|out| stream::encode_live(frames, config, out, &|| bar.inc(1)));
+    bar.finish_and_clear();
+    let encoded = encoded.map_err(|error| about(error, &name))?;
+    let left_out = arriving.left_out().clone();
+    frames::check_left_out(&left_out, "stdin", args.strict, quiet)?;
+    if encoded.frames.is_empty() {
+        ensure!(!args.strict, "stdin: held no frame; check what writes to it, or encode without --strict");
+        if !quiet {
+            eprintln!("lidarpc: stdin: held no frame, and so does {name}");
         }
-        None => {
-            let (encoded, left_out) =
-                write_live(config, &mut output, quiet).map_err(|error| about(error, &name))?;
-            frames::check_left_out(&left_out, "stdin", args.strict, quiet)?;
-            if encoded.frames.is_empty() {
-                ensure!(
-                    !args.strict,
-                    "stdin: held no frame; check what writes to it, or encode without --strict"
-                );
-                if !quiet {
-                    eprintln!("lidarpc: stdin: held no frame, and so does {name}");
-                }
-            }
-            (encoded, left_out)
-        }
-    };
-    if args.verify {
-        let Some(file) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
-        compare(args, &encoded, file, quiet).with_context(|| name.clone())?;
     }
-    output.finish().map_err(|error| about(error, &name))?;
-    Ok((encoded, left_out))
+    finish_output(args, output, &encoded, quiet)?;
+    Ok(Done { encoded, left_out, was_complete: false })
+}
+
+/// Encodes files, with `--resume` in one or more runs.
+fn encode_found(args: &EncodeArgs, config: &EncoderConfig, found: &Found, quiet: bool) -> Result<Done> {
+    let complete = match args.resume && !args.force {
+        true => {
+            partial::complete(args.output()).map_err(|error| about(error, &name_of_output(args.output())))?
+        }
+        false => None,
+    };
+    let was_complete = complete.is_some();
+    let encoded = match complete {
+        Some(stream) => confirm(args, config, &found.inputs(), stream, quiet)?,
+        None if args.resume => encode_in_runs(args, config, &found.inputs(), quiet)?,
+        None => encode_files(args, config, found, quiet)?,
+    };
+    Ok(Done { encoded, left_out: found.left_out.clone(), was_complete })
 }
 
 /// Encodes to a file that is kept if this is interrupted, and continues what an interrupted run left.
@@ -221,7 +180,7 @@ fn encode_in_runs(
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &name))?;
     if args.verify {
-        compare(args, &encoded, output.reopen()?, quiet).with_context(|| name.clone())?;
+        verify(args, &encoded, output.reopen()?, quiet)?;
     }
     output.finish().map_err(|error| about(error, &name))?;
     Ok(encoded)
@@ -251,68 +210,33 @@ fn confirm(
     })?;
     if args.verify {
         stream.rewind().map_err(|error| about(error.into(), &name))?;
-        compare(args, &encoded, stream, quiet).with_context(|| name.clone())?;
+        verify(args, &encoded, stream, quiet)?;
     }
     Ok(encoded)
 }
 
-fn write_files(
-    config: &EncoderConfig,
-    frames: &[FrameInput],
-    output: &mut FileOutput,
-    quiet: bool,
-) -> crate::ground::error::Result<Encoded> {
-    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
-    let mut writer = output.writer();
-    let encoded = stream::encode(frames, config, &mut writer, &|| bar.inc(1));
-    let encoded = encoded.and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));
-    bar.finish_and_clear();
-    encoded
-}
-
-/// Encodes frames from stdin as they arrive.
-fn write_live(
-    config: &EncoderConfig,
-    output: &mut FileOutput,
-    quiet: bool,
-) -> crate::ground::error::Result<(Encoded, LeftOut)> {
-    let bar = progress::bar(None, "encoding", quiet);
-    let mut writer = output.writer();
-    let mut arriving = ArrivingFrames::new(io::stdin());
-    let input = |ArrivedFile { name, bytes }| FrameInput::memory(name, bytes);
-    let frames = arriving.by_ref().map(|file| file.map(input));
-    let encoded = stream::encode_live(frames, config, &mut writer, &|| bar.inc(1));
-    let encoded = encoded.and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));
-    bar.finish_and_clear();
-    Ok((encoded?, arriving.left_out().clone()))
-}
-
-/// Decodes the output and compares it with the input.
-fn compare(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Result<()> {
-    let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
-    let bar = progress::bar(Some(encoded.frames.len() as u64), "verifying", quiet);
-    let mut decoded = Vec::new();
-    // Not the header's checksum, which the encoder wrote, but that of the decoded bytes.
-    let identify = |frame: DecodedFrame| {
-        let (mut crc, mut size) = (0, 0);
-        frame.write(|piece| {
-            (crc, size) = (crc32c::crc32c_append(crc, piece), size + piece.len() as u64);
-            Ok(())
-        })?;
-        Ok((frame.header.name, crc, size))
-    };
-    let result = stream::decode(BufReader::new(file), &options, identify, |file| {
-        bar.inc(1);
-        decoded.push(file);
-        Ok(())
-    });
-    bar.finish_and_clear();
-    result?;
-    let original = encoded.frames.iter();
-    let original = original.map(|frame| (frame.name.clone(), frame.file_crc, frame.file_size));
-    ensure!(
-        original.eq(decoded),
-        "decodes to something else, so it does not get this name; please report this"
-    );
+/// Reports what was encoded: frame by frame if that is wanted, then as JSON or in a line.
+fn report(args: &EncodeArgs, config: &EncoderConfig, done: &Done, start: Instant, quiet: bool) -> Result<()> {
+    let seconds = start.elapsed().as_secs_f64();
+    let Done { encoded, left_out, was_complete } = done;
+    if args.verbose {
+        for (frame, stages) in encoded.frames.iter().zip(&encoded.frame_stages) {
+            let (name, original, coded) = (frame.name.escape_debug(), stages.original, stages.coded());
+            let share = table::percent(metrics::ratio(original, coded));
+            eprintln!("{name}: {} -> {} ({share})", table::bytes(original), table::bytes(coded));
+        }
+    }
+    if args.json {
+        let mut report = StreamReport::of(args, config, encoded, left_out, seconds);
+        report.was_complete = *was_complete;
+        print_json(&report)?;
+    } else if *was_complete && !quiet {
+        let name = name_of_output(args.output());
+        let frames = table::count(encoded.frames.len() as u64, "frame");
+        let verified = if args.verify { ", verified" } else { "" };
+        eprintln!("{name}: already complete, from these {frames} with these settings{verified}");
+    } else if !quiet {
+        eprintln!("{} in {seconds:.1} s", summary(args, config, encoded));
+    }
     Ok(())
 }

@@ -12,8 +12,9 @@ use serde::Serialize;
 
 use super::args::{EstimateArgs, encoder_config, wrong_usage};
 use super::errors::about;
+use super::input::is_recording;
 use super::output::print_json;
-use super::{frames, progress, recording, table};
+use super::{frames, progress, table};
 
 /// Number of groups that are encoded, spread over the sequence.
 const GROUPS: usize = 3;
@@ -32,7 +33,7 @@ struct Estimate {
 }
 
 pub fn run(args: &EstimateArgs, quiet: bool) -> Result<()> {
-    if args.inputs.iter().any(|input| recording::is_recording(input)) {
+    if args.inputs.iter().any(|input| is_recording(input)) {
         wrong_usage("estimate", "estimates are for scans; `encode` a recording and see `stats`");
     }
     let mut config = encoder_config("estimate", &args.coding, args.threads.threads);

@@ -16,9 +16,10 @@ use anyhow::{Result, bail, ensure};
 
 use super::args::EncodeArgs;
 use super::errors::about;
+use super::input::is_stream;
 use super::output::keep_inputs;
 use super::record_length::{self, Sample, Verdict};
-use super::{in_memory, partial, table};
+use super::{partial, table};
 
 /// The files to encode.
 #[derive(Default)]
@@ -41,6 +42,22 @@ impl Found {
         inputs.extend(beside.map(|file| FrameInput::beside(file.path, file.name).of_drive(drive)));
         inputs
     }
+
+    /// Deletes the files, and the folders that this leaves empty, up to these inputs.
+    ///
+    /// # Errors
+    /// If a file cannot be deleted.
+    pub fn delete(&self, inputs: &[PathBuf]) -> Result<()> {
+        for FoundFile { path, .. } in self.frames.iter().chain(&self.beside) {
+            let deleted = if path.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
+            deleted.map_err(|error| about(error.into(), &path.display().to_string()))?;
+            let above = path.ancestors().skip(1);
+            let above = above.take_while(|above| inputs.iter().any(|input| above.starts_with(input)));
+            // Folders that are not empty remain.
+            above.take_while(|above| fs::remove_dir(above).is_ok()).for_each(drop);
+        }
+        Ok(())
+    }
 }
 
 /// Finds the files, and reports what is left out.
@@ -55,7 +72,7 @@ pub fn find(args: &EncodeArgs, quiet: bool) -> Result<Found> {
     }
     let mut inputs = found.paths();
     // A stream at the output path is an earlier output of this program; any other file is an input.
-    if !in_memory::is_stream(args.output()) {
+    if !is_stream(args.output()) {
         inputs.extend(found.beside.iter().map(|file| file.path.clone()));
     }
     keep_inputs(args.output(), &inputs)?;
@@ -175,7 +192,7 @@ fn check_scan(path: &Path) -> Result<()> {
     const HEADER: u64 = 1 << 20;
     let start = start_of(path, HEADER)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let what = match in_memory::is_stream(path) {
+    let what = match is_stream(path) {
         true => "is a lidarpc stream already".to_owned(),
         false if is_other_recording(path) => {
             bail!(
@@ -235,13 +252,13 @@ fn loss_of_paper_mode(frame: &FrameInput, config: &EncoderConfig) -> Option<Stri
         coder: Coder::Backend(backend::ZSTD),
         ..config.clone()
     };
-    let mut decoded = None;
+    let (mut coded, mut decoded) = (Vec::new(), None);
     let keep = |frame: DecodedFrame| {
         decoded = Some(frame);
         Ok(())
     };
     // Errors will be reported when the frame is encoded.
-    let (_, coded) = in_memory::encode(std::slice::from_ref(frame), &quick, true).ok()?;
+    stream::encode(std::slice::from_ref(frame), &quick, &mut coded, &|| ()).ok()?;
     stream::decode(&coded[..], &DecodeOptions::default(), DecodedFrame::checked, keep).ok()?;
     let decoded = decoded?;
     let original = parse_like(&decoded.scan, &decoded.scan.name, frame.read().ok()?);

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::args::InfoArgs;
 use super::errors::about;
-use super::input::{for_each_file, name_of, open};
+use super::input::{for_each_file, is_recording, name_of, open};
 use super::output::print_json;
 use super::{recording, table};
 
@@ -88,7 +88,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     let mut infos = Vec::new();
     let mut out = io::BufWriter::new(io::stdout().lock());
     let read = for_each_file("info", &args.inputs, |path| {
-        let (info, damage) = match recording::is_recording(path) {
+        let (info, damage) = match is_recording(path) {
             true => {
                 let listing = recording::examine(path, false, 1, true)?;
                 let damage = listing.check().err();

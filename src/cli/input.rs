@@ -1,19 +1,20 @@
-//! Streams to read, from a file or from stdin, and the scans to compare them with.
+//! Inputs: what kind they are of, streams to read from a file or from stdin, and the scans to compare them with.
 
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 
-use crate::container::IndexedReader;
+use crate::container::{IndexedReader, MAGIC};
 use crate::files::names::is_safe_path;
 use crate::files::sequence::find_frames;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::{self, DecodeOptions, DecodedFrame};
+use crate::stream::{self, DecodeOptions, DecodedFrame, FrameRange};
 
 use super::args::wrong_usage;
 use super::errors::{about, is_closed_pipe, say};
 use super::table;
+use super::time_range::TimeRange;
 
 /// A stream to read.
 pub enum Input {
@@ -109,10 +110,36 @@ pub fn is_pipe(path: &Path) -> bool {
 }
 
 /// The first bytes of a file; `None` if it does not exist, is too short, or can be read only once.
-pub fn first_bytes<const N: usize>(path: &Path) -> Option<[u8; N]> {
+fn first_bytes<const N: usize>(path: &Path) -> Option<[u8; N]> {
     let mut start = [0; N];
     let is_file = path.metadata().is_ok_and(|kind| kind.is_file());
     is_file.then(|| File::open(path)?.read_exact(&mut start)).and_then(io::Result::ok).map(|()| start)
+}
+
+/// Whether an input is a stream: it begins like one, or is stdin or a pipe.
+pub fn is_stream(path: &Path) -> bool {
+    is_dash(path) || is_pipe(path) || first_bytes(path) == Some(MAGIC)
+}
+
+/// Whether an input is a recording: by its first bytes, or, if it does not exist yet or cannot be read twice, by its name.
+pub fn is_recording(path: &Path) -> bool {
+    const START: &[u8; 8] = b"\x89MCAP0\r\n";
+    match first_bytes(path) {
+        Some(start) => start == *START,
+        None => is_named_as_recording(path),
+    }
+}
+
+/// Whether the name is that of a recording.
+pub fn is_named_as_recording(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
+}
+
+/// Ends the program if an input of a subcommand that takes only streams is a recording.
+pub fn refuse_recordings(subcommand: &str, inputs: &[PathBuf], advice: &str) {
+    if inputs.iter().any(|input| is_recording(input)) {
+        wrong_usage(subcommand, format!("a recording is no stream; {advice}"));
+    }
 }
 
 /// The name of an input in messages.
@@ -173,6 +200,32 @@ impl Originals {
 /// As [`Input::open`].
 pub fn open(path: &Path) -> anyhow::Result<Input> {
     Input::open(path).map_err(|error| about(error, &name_of(path)))
+}
+
+/// The frames selected by `--frames` or `--time`; without these, all. Tells how many are left out because they have no
+/// time.
+///
+/// # Errors
+/// If there is no frame at that time, or if the times cannot be read.
+pub fn chosen_frames(
+    subcommand: &str,
+    path: &Path,
+    (frames, time): (Option<FrameRange>, Option<TimeRange>),
+    limits: Limits,
+    quiet: bool,
+) -> anyhow::Result<FrameRange> {
+    let Some(time) = time else { return Ok(frames.unwrap_or_default()) };
+    let Input::File(file) = open(path)? else {
+        wrong_usage(subcommand, "--time needs a file that can be sought in; choose by --frames");
+    };
+    let reader = IndexedReader::open(BufReader::new(file), limits);
+    let found = reader.and_then(|reader| time.frames(reader.index()));
+    let (range, untimed) = found.map_err(|error| about(error, &name_of(path)))?;
+    if untimed > 0 && !quiet {
+        let frames = table::count(untimed, "frame");
+        eprintln!("lidarpc: {}: left out {frames} without a time; --frames chooses by number", name_of(path));
+    }
+    Ok(range)
 }
 
 /// Calls `work` on each file. If there are several, failures are reported and the other files are still

@@ -8,10 +8,10 @@ mod coding;
 mod cut;
 mod decode;
 mod encode;
+mod encoding;
 mod errors;
 mod estimate;
 mod frames;
-mod in_memory;
 mod info;
 mod input;
 mod losses;
@@ -100,7 +100,7 @@ fn keep_memory() {}
 fn run(args: &Args) -> anyhow::Result<()> {
     cleanup::on_signals();
     match &args.command {
-        Command::Encode(command) => encode::run(command, args.quiet),
+        Command::Encode(command) => encode::dispatch(command, args.quiet),
         Command::Decode(command) => decode::run(command, args.quiet),
         Command::Stats(command) => stats::run(command, args.quiet),
         Command::Info(command) => info::run(command),

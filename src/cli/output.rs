@@ -73,6 +73,17 @@ impl FileOutput {
         }
     }
 
+    /// Writes the output with `write`, and flushes it.
+    ///
+    /// # Errors
+    /// Those of `write`, or if flushing fails.
+    pub fn write<T>(&mut self, write: impl FnOnce(&mut BufWriter<&mut dyn Write>) -> Result<T>) -> Result<T> {
+        let mut writer = self.writer();
+        let written = write(&mut writer)?;
+        writer.flush()?;
+        Ok(written)
+    }
+
     /// The output so far, to be read back; `None` if it went to a pipe.
     ///
     /// # Errors

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 use crate::files::{FileFormat, convert, write};
@@ -19,31 +19,10 @@ use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, FormatArg, StatsArgs, wrong_usage};
 use super::errors::{NotWhole, about};
-use super::input::{first_bytes, is_dash};
+use super::input::{is_dash, is_named_as_recording};
 use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
 use super::report::{FidelityReport, fidelity};
 use super::{progress, table};
-
-/// Whether a file is a recording: by its first bytes, or, if it does not exist yet or cannot be read twice, by its name.
-pub fn is_recording(path: &Path) -> bool {
-    const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
-    match first_bytes(path) {
-        Some(start) => start == *MAGIC,
-        None => is_named_so(path),
-    }
-}
-
-/// Ends the program if an input of a subcommand that takes only streams is a recording.
-pub fn refuse(subcommand: &str, inputs: &[PathBuf], advice: &str) {
-    if inputs.iter().any(|input| is_recording(input)) {
-        wrong_usage(subcommand, format!("a recording is no stream; {advice}"));
-    }
-}
-
-/// Whether the name is that of a recording.
-fn is_named_so(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
-}
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -84,7 +63,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
         }
     }
     keep_inputs(args.output(), &args.inputs)?;
-    if !is_named_so(args.output()) {
+    if !is_named_as_recording(args.output()) {
         return encode_clouds(args, input, config, quiet);
     }
     for (wrong, what) in [
@@ -136,15 +115,12 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
     let filter = TopicFilter { topics: args.topic.clone() };
     let mut clouds =
         Clouds::open(open(input)?, &filter).map_err(|error| about(error, &input.display().to_string()))?;
-    let mut writer = output.writer();
     let frames = clouds.by_ref().map(|cloud| {
         let (scan, stamp) = cloud.into_parts();
         Ok(FrameInput::scan(scan).stamped(stamp))
     });
-    let encoded = stream::encode_live(frames, config, &mut writer, &|| bar.inc(1));
-    let encoded = encoded.and_then(|encoded| Ok(writer.flush().map(|()| encoded)?));
+    let encoded = output.write(|out| stream::encode_live(frames, config, out, &|| bar.inc(1)));
     bar.finish_and_clear();
-    drop(writer);
     let encoded = encoded.map_err(|error| about(error, &name))?;
     let (damage, left_out) = (clouds.damage(), clouds.left_out);
     check_topics(input, &args.topic, &clouds.topics)?;
@@ -200,7 +176,7 @@ pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
         wrong_usage("decode", "--frames, --time and --keep-going take a stream, not a recording");
     }
     let start = Instant::now();
-    let (copied, left_out) = if is_named_so(args.output()) {
+    let (copied, left_out) = if is_named_as_recording(args.output()) {
         keep_inputs(args.output(), &args.inputs)?;
         let bar = progress::bar(None, "unpacking", quiet);
         let (copied, output) = copy(input, args.output(), args.force, |out| {

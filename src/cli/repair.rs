@@ -1,6 +1,6 @@
 //! `lidarpc repair`
 
-use std::io::{BufReader, Write};
+use std::io::BufReader;
 use std::path::PathBuf;
 
 use crate::edit::{self, Named};
@@ -10,10 +10,10 @@ use serde::Serialize;
 
 use super::args::RepairArgs;
 use super::errors::about;
-use super::input::{name_of, open};
+use super::input::{name_of, open, refuse_recordings};
 use super::losses::{LossReport, Losses};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
-use super::{recording, table};
+use super::table;
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -27,17 +27,15 @@ struct Report {
 pub fn run(args: &RepairArgs, quiet: bool) -> Result<()> {
     check_json("repair", args.json, &args.output);
     let input = std::slice::from_ref(&args.input);
-    recording::refuse("repair", input, "`encode` and `decode` take all of it that can be read");
+    refuse_recordings("repair", input, "`encode` and `decode` take all of it that can be read");
     let input = name_of(&args.input);
     let stream = open(&args.input)?.rewindable().map_err(|error| about(error, &input))?;
     keep_inputs(&args.output, std::slice::from_ref(&args.input))?;
     let mut output = FileOutput::binary(&args.output, args.force)?;
     let mut losses = Losses::new(&args.input, FrameRange::default());
-    let mut writer = output.writer();
     let named = Named { path: PathBuf::from(input), stream: BufReader::new(stream) };
-    let frames = edit::repair(named, &args.limits.limits(), &mut writer, |lost| losses.tell(&lost))
-        .and_then(|frames| Ok(writer.flush().map(|()| frames)?));
-    drop(writer);
+    let limits = args.limits.limits();
+    let frames = output.write(|out| edit::repair(named, &limits, out, |lost| losses.tell(&lost)));
     let name = name_of_output(&args.output);
     let frames = frames.map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use super::args::{StatsArgs, wrong_usage};
 use super::errors::about;
-use super::input::{Input, Originals, name_of, open};
+use super::input::{Input, Originals, is_recording, name_of, open};
 use super::output::print_json;
 use super::{poses, recording, steps, table};
 use comparison::{Against, compare};
@@ -64,7 +64,7 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     if let Some(output) = &args.poses {
         return poses::run(args, output, quiet);
     }
-    if recording::is_recording(&args.input) {
+    if is_recording(&args.input) {
         if !args.against.is_empty() {
             wrong_usage("stats", "--against compares scans; a recording is compared by `encode --verify`");
         }

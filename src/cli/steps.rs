@@ -10,10 +10,11 @@ use anyhow::Result;
 use serde::Serialize;
 
 use super::args::{StatsArgs, encoder_config};
+use super::encoding::encode_in_memory;
 use super::errors::about;
-use super::input::{name_of, open};
+use super::input::{is_stream, name_of, open};
 use super::output::print_json;
-use super::{in_memory, progress, table};
+use super::{progress, table};
 
 /// The complete report; all values are means over frames.
 #[derive(Serialize)]
@@ -51,7 +52,7 @@ struct Times {
 
 /// Reports on a stream, or on scans, which are then encoded in memory with the given options.
 pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
-    let (encoding, decoding, range_step) = if in_memory::is_stream(&args.input) {
+    let (encoding, decoding, range_step) = if is_stream(&args.input) {
         let input = open(&args.input)?.reader();
         let decoded = decode(input, args, quiet).map_err(|error| about(error, &name_of(&args.input)))?;
         (None, decoded, None)
@@ -59,7 +60,7 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
         let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
         let frames = FrameInput::found(frames);
         let config = encoder_config("stats", &args.coding, args.threads.threads);
-        let (encoding, stream) = in_memory::encode(&frames, &config, quiet)?;
+        let (encoding, stream) = encode_in_memory(&frames, &config, quiet)?;
         (Some(encoding), decode(&stream[..], args, quiet)?, range_step(&config))
     };
     let steps = Steps {

@@ -18,13 +18,13 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, wrong_usage};
-use super::encode::{encode_whole, remove};
+use super::encoding::encode_files;
 use super::errors::{NotWhole, say};
 use super::frames::{self, Found};
-use super::input::is_pipe;
+use super::input::{is_pipe, is_stream};
 use super::output::{create_folders, parent, print_json};
 use super::report::{LeftOutReport, StreamReport, summary};
-use super::{decode, in_memory, progress, table};
+use super::{decode, progress, table};
 
 /// Whether an output is a folder: it is one, or its name ends in a slash.
 pub fn is_folder(output: &Path) -> bool {
@@ -217,11 +217,12 @@ fn encode_drive(
     }
     let mut config = config.clone();
     frames::settle(&drive.found.frames, &mut config, &place, quiet)?;
-    let (encoded, left_out) = encode_whole(args, &config, Some(&drive.found), true)?;
+    let encoded = encode_files(args, &config, &drive.found, true)?;
     if args.rm {
-        remove(&drive.found, &args.inputs)?;
+        drive.found.delete(&args.inputs)?;
     }
-    let report = StreamReport::of(args, &config, &encoded, &left_out, start.elapsed().as_secs_f64());
+    let report =
+        StreamReport::of(args, &config, &encoded, &drive.found.left_out, start.elapsed().as_secs_f64());
     Ok((report, summary(args, &config, &encoded)))
 }
 
@@ -269,7 +270,7 @@ fn streams_below(folder: &Path) -> Result<Vec<PathBuf>> {
             if kind.is_dir() {
                 open.push(path);
             } else if path.extension().is_some_and(|ending| ending == STREAM_EXTENSION)
-                && in_memory::is_stream(&path)
+                && is_stream(&path)
                 && !is_pipe(&path)
             {
                 streams.push(path);

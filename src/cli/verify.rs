@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::args::{VerifyArgs, wrong_usage};
 use super::errors::{about, line};
-use super::input::{Originals, for_each_file, name_of, open};
+use super::input::{Originals, for_each_file, is_recording, name_of, open};
 use super::output::print_json;
 use super::{progress, recording, table};
 
@@ -39,7 +39,7 @@ struct Report {
 }
 
 pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
-    if !args.against.is_empty() && args.inputs.iter().any(|input| recording::is_recording(input)) {
+    if !args.against.is_empty() && args.inputs.iter().any(|input| is_recording(input)) {
         wrong_usage("verify", "--against compares scans; a recording is compared by `encode --verify`");
     }
     if args.deep {
@@ -103,7 +103,7 @@ fn verify(
     report: &mut Report,
     quiet: bool,
 ) -> Result<()> {
-    if recording::is_recording(path) {
+    if is_recording(path) {
         let found = recording::examine(path, true, args.threads.threads, quiet)?;
         (report.frames, report.file_bytes) = (found.clouds(), found.cloud_bytes());
         report.messages = Some(found.messages());

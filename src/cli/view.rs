@@ -17,15 +17,16 @@ use crate::study::picture::{self, BirdsEye, Perspective, Picture};
 use anyhow::{Context, Result, ensure};
 
 use super::args::{PictureKind, ViewArgs, encoder_config, wrong_usage};
+use super::encoding::encode_in_memory;
 use super::errors::about;
-use super::input::{Originals, name_of, open};
+use super::input::{Originals, is_stream, name_of, open, refuse_recordings};
 use super::output::{FileOutput, about_output, keep_inputs};
-use super::{in_memory, progress, recording};
+use super::progress;
 use pictures::{PICTURES, Pictures};
 
 pub fn run(args: &ViewArgs, quiet: bool) -> Result<()> {
     let input = std::slice::from_ref(&args.input);
-    recording::refuse("view", input, "encode its clouds to FILE.lpc, and view that");
+    refuse_recordings("view", input, "encode its clouds to FILE.lpc, and view that");
     match (&args.html, &args.output) {
         (Some(page), _) => write_page(args, page, quiet),
         (None, Some(picture)) => write_picture(args, picture),
@@ -54,13 +55,13 @@ fn write_picture(args: &ViewArgs, path: &Path) -> Result<()> {
 fn write_page(args: &ViewArgs, path: &Path, quiet: bool) -> Result<()> {
     keep_inputs(path, std::slice::from_ref(&args.input))?;
     let name = name_of(&args.input);
-    if in_memory::is_stream(&args.input) {
+    if is_stream(&args.input) {
         let stream = open(&args.input)?.rewindable().map_err(|error| about(error, &name))?;
         return page_of(args, path, (stream, &name), quiet);
     }
     let config = encoder_config("view", &args.coding, 0);
     let frames = FrameInput::found(find_frames(std::slice::from_ref(&args.input))?.frames);
-    let (_, stream) = in_memory::encode(&frames, &config, quiet)?;
+    let (_, stream) = encode_in_memory(&frames, &config, quiet)?;
     page_of(args, path, (Cursor::new(stream), &name), quiet)
 }
 
@@ -98,7 +99,7 @@ struct Compared {
 fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<Compared> {
     let name = name_of(&args.input);
     let only = |number: u64| FrameRange { start: number, end: number.checked_add(1) };
-    let (frame, mut original) = if in_memory::is_stream(&args.input) {
+    let (frame, mut original) = if is_stream(&args.input) {
         let stream = open(&args.input)?.rewindable().map_err(|error| about(error, &name))?;
         (decode_one(stream, only(args.frame)), None)
     } else {
@@ -106,7 +107,7 @@ fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<Compared> {
         only(args.frame).check(frames.len() as u64).map_err(|error| about(error, &name))?;
         let frame =
             FrameInput::found(frames).into_iter().nth(args.frame as usize).map(|frame| frame.of_drive(0));
-        let (_, stream) = in_memory::encode(frame.as_slice(), config, true)?;
+        let (_, stream) = encode_in_memory(frame.as_slice(), config, true)?;
         (decode_one(Cursor::new(stream), only(0)), frame.map(|frame| frame.read()).transpose()?)
     };
     let frame = frame.map_err(|error| about(error, &name))?;

@@ -1,0 +1,115 @@
+//! Encodes scans with a progress bar: to a file that exists only when it is complete, or in memory.
+
+use std::fs::File;
+use std::io::BufReader;
+
+use crate::frame::{EncoderConfig, StageReport};
+use crate::ground::error;
+use crate::stream::{self, DecodeOptions, DecodedFrame, Encoded, FrameInput};
+use anyhow::{Context, Result, bail, ensure};
+
+use super::args::EncodeArgs;
+use super::errors::about;
+use super::frames::Found;
+use super::output::{FileOutput, name_of_output};
+use super::{partial, progress};
+
+/// Encodes files to the output, which exists only when it is complete and, if that is wanted, verified.
+///
+/// # Errors
+/// If a file cannot be read, or if the output exists, cannot be written, or decodes to something else.
+pub fn encode_files(
+    args: &EncodeArgs,
+    config: &EncoderConfig,
+    found: &Found,
+    quiet: bool,
+) -> Result<Encoded> {
+    let mut output = create_output(args, quiet)?;
+    let frames = found.inputs();
+    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
+    let encoded = output.write(|out| stream::encode(&frames, config, out, &|| bar.inc(1)));
+    bar.finish_and_clear();
+    let encoded = encoded.map_err(|error| about(error, &name_of_output(args.output())))?;
+    finish_output(args, output, &encoded, quiet)?;
+    Ok(encoded)
+}
+
+/// Creates the output. Tells if there is also one of an interrupted run.
+///
+/// # Errors
+/// If it exists or cannot be written.
+pub fn create_output(args: &EncodeArgs, quiet: bool) -> Result<FileOutput> {
+    let output = FileOutput::binary(args.output(), args.force)?;
+    if let Some(left) = partial::left_for(args.output())
+        && !quiet
+    {
+        eprintln!(
+            "lidarpc: {} of an interrupted run is left as it is; --resume goes on with it",
+            left.display()
+        );
+    }
+    Ok(output)
+}
+
+/// Verifies the output, if that is wanted, and gives it its name.
+///
+/// # Errors
+/// If it decodes to something else, or if renaming fails.
+pub fn finish_output(args: &EncodeArgs, output: FileOutput, encoded: &Encoded, quiet: bool) -> Result<()> {
+    if args.verify {
+        let Some(file) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
+        verify(args, encoded, file, quiet)?;
+    }
+    output.finish().map_err(|error| about(error, &name_of_output(args.output())))
+}
+
+/// Decodes the output and compares it with the input.
+///
+/// # Errors
+/// If it cannot be decoded, or decodes to something else.
+pub fn verify(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Result<()> {
+    let name = || name_of_output(args.output());
+    let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
+    let bar = progress::bar(Some(encoded.frames.len() as u64), "verifying", quiet);
+    let mut decoded = Vec::new();
+    // Not the header's checksum, which the encoder wrote, but that of the decoded bytes.
+    let identify = |frame: DecodedFrame| {
+        let (mut crc, mut size) = (0, 0);
+        frame.write(|piece| {
+            (crc, size) = (crc32c::crc32c_append(crc, piece), size + piece.len() as u64);
+            Ok(())
+        })?;
+        Ok((frame.header.name, crc, size))
+    };
+    let result = stream::decode(BufReader::new(file), &options, identify, |file| {
+        bar.inc(1);
+        decoded.push(file);
+        Ok(())
+    });
+    bar.finish_and_clear();
+    result.with_context(name)?;
+    let original = encoded.frames.iter();
+    let original = original.map(|frame| (frame.name.clone(), frame.file_crc, frame.file_size));
+    ensure!(
+        original.eq(decoded),
+        "{}: decodes to something else, so it does not get this name; please report this",
+        name()
+    );
+    Ok(())
+}
+
+/// Encodes scans in memory. Returns the time and size of each stage, and the stream.
+///
+/// # Errors
+/// If a scan cannot be read or encoded.
+pub fn encode_in_memory(
+    frames: &[FrameInput],
+    config: &EncoderConfig,
+    quiet: bool,
+) -> error::Result<(StageReport, Vec<u8>)> {
+    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
+    let mut stream = Vec::new();
+    let encoded = stream::encode(frames, config, &mut stream, &|| bar.inc(1));
+    bar.finish_and_clear();
+    Ok((encoded?.stages, stream))
+}
