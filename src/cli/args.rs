@@ -83,6 +83,13 @@ pub fn wrong_usage(subcommand: &str, what: impl std::fmt::Display) -> ! {
     }
 }
 
+/// Ends the program with the first of these messages whose condition is true.
+pub fn check_usage<const N: usize>(subcommand: &str, wrong: [(bool, &str); N]) {
+    if let Some((_, what)) = wrong.into_iter().find(|(is_wrong, _)| *is_wrong) {
+        wrong_usage(subcommand, what);
+    }
+}
+
 /// The encoder's settings according to these options of a subcommand. If they do not fit together, ends the program.
 pub fn encoder_config(subcommand: &str, coding: &CodingArgs, threads: usize) -> EncoderConfig {
     coding.config(threads).unwrap_or_else(|error| wrong_usage(subcommand, error))

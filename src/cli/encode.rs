@@ -1,12 +1,11 @@
-//! `lidarpc encode`, unless the input is a recording, messages, or a tree of drives.
+//! `lidarpc encode` for scans: folders and files, or frames from stdin, to one stream.
 
 use std::fs::File;
 use std::io::{self, Seek};
-use std::path::PathBuf;
 use std::time::Instant;
 
 use crate::edit;
-use crate::files::sequence::{LeftOut, STREAM_EXTENSION};
+use crate::files::sequence::LeftOut;
 use crate::files::{ArrivedFile, ArrivingFrames};
 use crate::frame::EncoderConfig;
 use crate::ground::error::Error;
@@ -14,88 +13,16 @@ use crate::stream::{self, Encoded, FrameInput};
 use crate::study::metrics;
 use anyhow::{Result, ensure};
 
-use super::args::{EncodeArgs, encoder_config, wrong_usage};
+use super::args::EncodeArgs;
 use super::cleanup::SayOnSignal;
 use super::encoding::{create_output, encode_files, finish_output, verify};
 use super::errors::about;
 use super::frames::{self, Found};
-use super::input::{is_dash, is_recording};
-use super::output::{check_json, name_of_output, print_json};
+use super::input::is_dash;
+use super::output::{name_of_output, print_json};
 use super::partial::{self, PartialOutput};
 use super::report::{StreamReport, summary};
-use super::{messages, progress, recording, table, tree};
-
-pub fn dispatch(args: &EncodeArgs, quiet: bool) -> Result<()> {
-    let args = &EncodeArgs { output: Some(output_of(args)), verify: args.verify || args.rm, ..args.clone() };
-    let is_piped = args.inputs.iter().any(|input| is_dash(input));
-    let config = encoder_config("encode", &args.coding, args.threads.threads);
-    check(args, &config);
-    if args.messages {
-        return messages::encode(args, &config, quiet);
-    }
-    if args.inputs.iter().any(|input| is_recording(input)) {
-        return recording::encode(args, &config, quiet);
-    }
-    if !args.topic.is_empty() {
-        wrong_usage("encode", "--topic chooses clouds of a recording; the input is none");
-    }
-    if tree::is_folder(args.output()) && !is_piped {
-        return tree::encode(args, &config, quiet);
-    }
-    if args.jobs.is_some() {
-        wrong_usage("encode", "--jobs counts the drives that are encoded into a folder; the output is none");
-    }
-    run(args, config, quiet)
-}
-
-/// Ends the program if these options do not go together.
-fn check(args: &EncodeArgs, config: &EncoderConfig) {
-    let is_piped = args.inputs.iter().any(|input| is_dash(input));
-    let is_stdout = is_dash(args.output());
-    for (wrong, what) in [
-        (args.rm && is_stdout, "--rm needs an output that can be read again, not stdout"),
-        (args.rm && is_piped, "--rm deletes files; stdin is none"),
-        (args.verify && is_stdout, "--verify needs an output that can be read again, not stdout"),
-        (args.resume && is_stdout, "--resume needs an output that stays, not stdout"),
-        (args.resume && is_piped, "--resume needs inputs that can be read again, not stdin"),
-        (args.all && is_piped, "--all keeps the files of folders, not of stdin"),
-        (is_piped && args.inputs.len() > 1, "`-`, for frames from stdin, stands alone"),
-    ] {
-        if wrong {
-            wrong_usage("encode", what);
-        }
-    }
-    check_json("encode", args.json, args.output());
-    if args.rm && !config.is_exact() {
-        let what = "--rm deletes only what comes back as it was: leave out what makes the output lossy";
-        wrong_usage("encode", what);
-    }
-}
-
-/// The output, or by default a file beside the input, with its name and the extension of streams.
-fn output_of(args: &EncodeArgs) -> PathBuf {
-    if let Some(output) = &args.output {
-        return output.clone();
-    }
-    let name = match &args.inputs[..] {
-        [input] if !is_dash(input) && !is_recording(input) => input.file_name(),
-        _ => None,
-    };
-    let Some(name) = name else {
-        let is_recording = args.inputs.len() == 1 && is_recording(&args.inputs[0]);
-        wrong_usage(
-            "encode",
-            match is_recording {
-                true => "say where to: by -o FILE.mcap the whole recording, by -o FILE.lpc the clouds alone",
-                false => "say where to, by -o FILE: the input gives no name for the output",
-            },
-        );
-    };
-    let mut name = name.to_owned();
-    name.push(".");
-    name.push(STREAM_EXTENSION);
-    args.inputs[0].with_file_name(name)
-}
+use super::{progress, table};
 
 /// The result of a run.
 struct Done {
@@ -105,7 +32,6 @@ struct Done {
     was_complete: bool,
 }
 
-/// Encodes folders and files of scans, or frames from stdin, to one stream.
 pub fn run(args: &EncodeArgs, mut config: EncoderConfig, quiet: bool) -> Result<()> {
     let start = Instant::now();
     if args.inputs.iter().any(|input| is_dash(input)) {

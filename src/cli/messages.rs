@@ -16,8 +16,8 @@ use crate::study::metrics;
 use anyhow::Result;
 use serde::Serialize;
 
-use super::args::{DecodeArgs, EncodeArgs, wrong_usage};
-use super::decode::{Converter, File};
+use super::args::{DecodeArgs, EncodeArgs, check_usage, wrong_usage};
+use super::conversion::{Converter, File};
 use super::errors::about;
 use super::frames;
 use super::input::{is_dash, name_of, open};
@@ -40,14 +40,14 @@ struct Report {
 
 /// `encode - --messages`: each frame is written before the next is read.
 pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
-    for (wrong, what) in [
-        (!args.inputs.iter().all(|input| is_dash(input)), "--messages takes frames from stdin: give `-`"),
-        (args.verify, "--verify compares a whole stream, not messages"),
-    ] {
-        if wrong {
-            wrong_usage("encode", what);
-        }
-    }
+    let is_stdin = args.inputs.iter().all(|input| is_dash(input));
+    check_usage(
+        "encode",
+        [
+            (!is_stdin, "--messages takes frames from stdin: give `-`"),
+            (args.verify, "--verify compares a whole stream, not messages"),
+        ],
+    );
     let start = Instant::now();
     let mut arriving = ArrivingFrames::new(io::stdin()).with_any_names();
     let mut output = FileOutput::binary(args.output(), args.force)?;
@@ -75,7 +75,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
 }
 
 /// `decode --messages`: into a folder, or to stdout in the format of the input.
-pub fn decode(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, quiet: bool) -> Result<()> {
+pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("decode", "--messages takes one input");
     };
@@ -87,9 +87,14 @@ pub fn decode(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter,
         true => None,
         false => Some(FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs)),
     };
+    let converter = Converter::new(args.format);
     let mut sizes = Sizes::default();
-    // A message has a single group, whose frame has two halves.
-    let options = DecodeOptions { threads: resolve_threads(options.threads).min(2), ..options.clone() };
+    let options = DecodeOptions {
+        // A message has a single group, whose frame has two halves.
+        threads: resolve_threads(args.threads.threads).min(2),
+        limits: args.limits.limits(),
+        ..DecodeOptions::default()
+    };
     let mut arriving = ArrivingFrames::new(open(input)?.reader()).with_any_names();
     let decoded = arriving.try_for_each(|message| {
         let ArrivedFile { name, bytes } = message?;
@@ -114,7 +119,7 @@ pub fn decode(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter,
     if let Some(folder) = folder {
         folder.finish()?;
     }
-    converter.tell(quiet);
+    converter.tell_unconverted(quiet);
     sizes.report(args.json, quiet, name_of(args.output()), None, start)
 }
 

@@ -5,8 +5,10 @@ mod bench;
 mod cat;
 mod cleanup;
 mod coding;
+mod conversion;
 mod cut;
 mod decode;
+mod dispatch;
 mod encode;
 mod encoding;
 mod errors;
@@ -100,8 +102,8 @@ fn keep_memory() {}
 fn run(args: &Args) -> anyhow::Result<()> {
     cleanup::on_signals();
     match &args.command {
-        Command::Encode(command) => encode::dispatch(command, args.quiet),
-        Command::Decode(command) => decode::run(command, args.quiet),
+        Command::Encode(command) => dispatch::encode(command, args.quiet),
+        Command::Decode(command) => dispatch::decode(command, args.quiet),
         Command::Stats(command) => stats::run(command, args.quiet),
         Command::Info(command) => info::run(command),
         Command::Verify(command) => verify::run(command, args.quiet),

@@ -24,7 +24,7 @@ use super::frames::{self, Found};
 use super::input::{is_pipe, is_stream};
 use super::output::{create_folders, parent, print_json};
 use super::report::{LeftOutReport, StreamReport, summary};
-use super::{decode, progress, table};
+use super::{progress, table};
 
 /// Whether an output is a folder: it is one, or its name ends in a slash.
 pub fn is_folder(output: &Path) -> bool {
@@ -226,8 +226,8 @@ fn encode_drive(
     Ok((report, summary(args, &config, &encoded)))
 }
 
-/// `decode` for a folder of streams: each into a folder with its path and name.
-pub fn decode_all(args: &DecodeArgs, quiet: bool) -> Result<()> {
+/// `decode` for a folder of streams: `decode_stream` decodes each into a folder with its path and name.
+pub fn decode(args: &DecodeArgs, decode_stream: impl Fn(&DecodeArgs) -> Result<()>) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("decode", "a folder of streams is decoded by itself");
     };
@@ -240,7 +240,7 @@ pub fn decode_all(args: &DecodeArgs, quiet: bool) -> Result<()> {
             output: Some(args.output().join(below)),
             ..args.clone()
         };
-        if let Err(error) = decode::run(&args, quiet) {
+        if let Err(error) = decode_stream(&args) {
             say(&error);
             match error.is::<NotWhole>() {
                 true => not_whole += 1,
