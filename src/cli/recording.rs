@@ -17,7 +17,7 @@ use crate::study::metrics;
 use anyhow::{Result, bail, ensure};
 use serde::Serialize;
 
-use super::args::{DecodeArgs, EncodeArgs, FormatArg, StatsArgs, wrong_usage};
+use super::args::{DecodeArgs, EncodeArgs, FormatArg, StatsArgs, check_usage, wrong_usage};
 use super::errors::{NotWhole, about};
 use super::input::{is_dash, is_named_as_recording};
 use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
@@ -47,43 +47,129 @@ struct Report {
     seconds: f64,
 }
 
+impl Report {
+    /// The report on clouds that were copied. `encoded`: the settings, and whether the output was verified, if they were
+    /// encoded.
+    fn of(
+        output: &Path,
+        copied: &Copied,
+        left_out: u64,
+        encoded: Option<(&EncoderConfig, bool)>,
+        start: Instant,
+    ) -> Self {
+        let [cloud_bytes_before, cloud_bytes_after] = copied.cloud_bytes;
+        Report {
+            file: output.display().to_string(),
+            fidelity: encoded.map(|(config, _)| FidelityReport::of(config)),
+            messages: copied.messages,
+            clouds: copied.clouds,
+            points: copied.points,
+            kept: copied.kept,
+            attachments: copied.attachments,
+            cloud_bytes_before,
+            cloud_bytes_after,
+            damage: copied.damage.clone(),
+            left_out,
+            verified: encoded.is_some_and(|(_, verified)| verified),
+            seconds: start.elapsed().as_secs_f64(),
+        }
+    }
+
+    /// Prints the report as JSON, or as this line.
+    fn print(&self, json: bool, quiet: bool, line: impl FnOnce(&Self) -> String) -> Result<()> {
+        if json {
+            print_json(self)?;
+        } else if !quiet {
+            eprintln!("{}", line(self));
+        }
+        Ok(())
+    }
+
+    /// The report in a line. `config`: the settings, if clouds were encoded.
+    fn summary(&self, config: Option<&EncoderConfig>) -> String {
+        let (before, after) = (self.cloud_bytes_before, self.cloud_bytes_after);
+        let sizes = match before {
+            0 => "none".to_owned(),
+            _ if after >= before => table::bytes(after),
+            _ => self.savings(),
+        };
+        let kept = match self.kept {
+            0 => String::new(),
+            kept => format!(", {} of a topic of clouds copied as they are", table::count(kept, "message")),
+        };
+        let fidelity = match config {
+            Some(config) if self.clouds > 0 => format!(", {}", fidelity(config, None)),
+            _ => String::new(),
+        };
+        format!(
+            "{}, {}: {sizes}{kept}{fidelity}{}{} in {:.1} s",
+            table::count(self.messages, "message"),
+            table::count(self.clouds, "cloud"),
+            self.left_out(),
+            if self.verified { ", verified" } else { "" },
+            self.seconds,
+        )
+    }
+
+    /// The sizes of the clouds before and after.
+    fn savings(&self) -> String {
+        let (before, after) = (self.cloud_bytes_before, self.cloud_bytes_after);
+        let share = table::percent(metrics::ratio(before, after));
+        format!("{} -> {} ({share})", table::bytes(before), table::bytes(after))
+    }
+
+    /// The messages that were left out.
+    fn left_out(&self) -> String {
+        match self.left_out {
+            0 => String::new(),
+            messages => format!(", {} of a topic of clouds left out", table::count(messages, "message")),
+        }
+    }
+}
+
 /// `encode` for a recording: to one with compressed clouds, or to a stream of the clouds alone.
 pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("encode", "recordings are encoded one by one");
     };
-    for (wrong, what) in [
-        (args.resume, "--resume takes scans, not a recording"),
-        (args.all, "--all keeps the files of folders; all that a recording holds is kept without it"),
-        (args.rm, "--rm deletes scans, not a recording"),
-        (args.coding.layout.is_some(), "--layout is for files without a header; clouds name their fields"),
-    ] {
-        if wrong {
-            wrong_usage("encode", what);
-        }
-    }
+    check_usage(
+        "encode",
+        [
+            (args.resume, "--resume takes scans, not a recording"),
+            (args.all, "--all keeps the files of folders; all that a recording holds is kept without it"),
+            (args.rm, "--rm deletes scans, not a recording"),
+            (
+                args.coding.layout.is_some(),
+                "--layout is for files without a header; clouds name their fields",
+            ),
+        ],
+    );
     keep_inputs(args.output(), &args.inputs)?;
-    if !is_named_as_recording(args.output()) {
-        return encode_clouds(args, input, config, quiet);
+    match is_named_as_recording(args.output()) {
+        true => pack(args, input, config, quiet),
+        false => encode_clouds(args, input, config, quiet),
     }
-    for (wrong, what) in [
-        (
-            config.positions == Positions::Formula || config.intensity == Intensity::None,
-            "paper mode drops points and intensities, which messages keep; give --max-error, or -o FILE.lpc",
-        ),
-        (
-            args.verify && !config.is_exact(),
-            "--verify compares byte for byte; leave it out, or what makes the clouds lossy",
-        ),
-        (
-            args.coding.gop.is_some() || args.coding.predict.is_some(),
-            "--gop and --predict need -o FILE.lpc: in a recording, each cloud is compressed alone",
-        ),
-    ] {
-        if wrong {
-            wrong_usage("encode", what);
-        }
-    }
+}
+
+/// Copies a recording and compresses its clouds.
+fn pack(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet: bool) -> Result<()> {
+    check_usage(
+        "encode",
+        [
+            (
+                config.positions == Positions::Formula || config.intensity == Intensity::None,
+                "paper mode drops points and intensities, which messages keep; give --max-error, or -o FILE.lpc",
+            ),
+            (
+                args.verify && !config.is_exact(),
+                "--verify compares byte for byte; leave it out, or what makes the clouds lossy",
+            ),
+            (
+                args.coding.gop.is_some() || args.coding.predict.is_some(),
+                "--gop and --predict need -o FILE.lpc: in a recording, each cloud is compressed alone",
+            ),
+        ],
+    );
     let start = Instant::now();
     let bar = progress::bar(None, "packing", quiet);
     let filter = TopicFilter { topics: args.topic.clone() };
@@ -99,7 +185,8 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
         verify(input, &output, &copied, args.threads.threads)?;
     }
     output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
-    say(args.json, quiet, args.output(), (&copied, 0), Some((config, args.verify)), start)?;
+    let report = Report::of(args.output(), &copied, 0, Some((config, args.verify)), start);
+    report.print(args.json, quiet, |report| report.summary(Some(config)))?;
     check_whole(input, copied.damage.as_deref())
 }
 
@@ -122,10 +209,19 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
     let encoded = output.write(|out| stream::encode_live(frames, config, out, &|| bar.inc(1)));
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &name))?;
-    let (damage, left_out) = (clouds.damage(), clouds.left_out);
+    let left_out = clouds.left_out;
+    let copied = Copied {
+        messages: encoded.frames.len() as u64,
+        clouds: encoded.frames.len() as u64,
+        points: encoded.points,
+        cloud_bytes: [encoded.file_bytes(), encoded.stream_bytes],
+        damage: clouds.damage(),
+        ..Copied::default()
+    };
+    let damage = copied.damage.as_deref();
     check_topics(input, &args.topic, &clouds.topics)?;
     if args.strict {
-        check_whole(input, damage.as_deref())?;
+        check_whole(input, damage)?;
         ensure!(
             left_out == 0,
             "{}: holds what would not come back: {}; give -o FILE.mcap, or encode without --strict",
@@ -133,38 +229,21 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
             table::count(left_out, "message")
         );
     }
-    let none = damage.as_ref().map_or(String::new(), |damage| format!(" ({damage})"));
-    ensure!(!encoded.frames.is_empty(), "{}: holds no cloud that can be encoded{none}", input.display());
+    let because = damage.map_or(String::new(), |damage| format!(" ({damage})"));
+    ensure!(copied.clouds > 0, "{}: holds no cloud that can be encoded{because}", input.display());
     output.finish().map_err(|error| about(error, &name))?;
-    if args.json {
-        print_json(&Report {
-            file: name,
-            fidelity: Some(FidelityReport::of(config)),
-            messages: encoded.frames.len() as u64,
-            clouds: encoded.frames.len() as u64,
-            points: encoded.points,
-            kept: 0,
-            attachments: 0,
-            cloud_bytes_before: encoded.file_bytes(),
-            cloud_bytes_after: encoded.stream_bytes,
-            damage: damage.clone(),
-            left_out,
-            verified: false,
-            seconds: start.elapsed().as_secs_f64(),
-        })?;
-    } else if !quiet {
-        eprintln!(
-            "{}: {} -> {} ({}), the clouds alone, {}{} in {:.1} s",
-            table::count(encoded.frames.len() as u64, "cloud"),
-            table::bytes(encoded.file_bytes()),
-            table::bytes(encoded.stream_bytes),
-            table::percent(metrics::ratio(encoded.file_bytes(), encoded.stream_bytes)),
+    let report = Report::of(args.output(), &copied, left_out, Some((config, false)), start);
+    report.print(args.json, quiet, |report| {
+        format!(
+            "{}: {}, the clouds alone, {}{} in {:.1} s",
+            table::count(report.clouds, "cloud"),
+            report.savings(),
             fidelity(config, Some(&encoded)),
-            left_out_of(left_out),
-            start.elapsed().as_secs_f64(),
-        );
-    }
-    check_whole(input, damage.as_deref())
+            report.left_out(),
+            report.seconds,
+        )
+    })?;
+    check_whole(input, damage)
 }
 
 /// `decode` for a recording: to one with the original clouds, or to a folder of scans.
@@ -176,20 +255,25 @@ pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
         wrong_usage("decode", "--frames, --time and --keep-going take a stream, not a recording");
     }
     let start = Instant::now();
-    let (copied, left_out) = if is_named_as_recording(args.output()) {
-        keep_inputs(args.output(), &args.inputs)?;
-        let bar = progress::bar(None, "unpacking", quiet);
-        let (copied, output) = copy(input, args.output(), args.force, |out| {
-            recordings::unpack(open(input)?, out, args.threads.threads, &|| bar.inc(1))
-        })?;
-        bar.finish_and_clear();
-        output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
-        (copied, 0)
-    } else {
-        decode_clouds(args, input, quiet)?
+    let (copied, left_out) = match is_named_as_recording(args.output()) {
+        true => (unpack(args, input, quiet)?, 0),
+        false => decode_clouds(args, input, quiet)?,
     };
-    say(args.json, quiet, args.output(), (&copied, left_out), None, start)?;
+    let report = Report::of(args.output(), &copied, left_out, None, start);
+    report.print(args.json, quiet, |report| report.summary(None))?;
     check_whole(input, copied.damage.as_deref())
+}
+
+/// Copies a recording and decodes its clouds.
+fn unpack(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied> {
+    keep_inputs(args.output(), &args.inputs)?;
+    let bar = progress::bar(None, "unpacking", quiet);
+    let (copied, output) = copy(input, args.output(), args.force, |out| {
+        recordings::unpack(open(input)?, out, args.threads.threads, &|| bar.inc(1))
+    })?;
+    bar.finish_and_clear();
+    output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
+    Ok(copied)
 }
 
 /// Decodes the clouds to files in a folder. Returns also the number of messages that were left out.
@@ -354,14 +438,6 @@ fn open(path: &Path) -> crate::ground::error::Result<BufReader<File>> {
     Ok(BufReader::with_capacity(1 << 20, File::open(path)?))
 }
 
-/// The messages on topics of clouds that were left out, in words.
-fn left_out_of(left_out: u64) -> String {
-    match left_out {
-        0 => String::new(),
-        _ => format!(", {} of a topic of clouds left out", table::count(left_out, "message")),
-    }
-}
-
 /// Writes a recording that is renamed when complete.
 fn copy(
     input: &Path,
@@ -396,68 +472,6 @@ fn verify(input: &Path, output: &FileOutput, copied: &Copied, threads: usize) ->
         same == copied.messages,
         "decodes to something else, so it does not get this name; please report this"
     );
-    Ok(())
-}
-
-/// Prints the result, with the number of messages that were left out. `encoded`: the settings, and whether the output
-/// was verified, if clouds were encoded.
-fn say(
-    json: bool,
-    quiet: bool,
-    output: &Path,
-    (copied, left_out): (&Copied, u64),
-    encoded: Option<(&EncoderConfig, bool)>,
-    start: Instant,
-) -> Result<()> {
-    let verified = encoded.is_some_and(|(_, verified)| verified);
-    let seconds = start.elapsed().as_secs_f64();
-    let [before, after] = copied.cloud_bytes;
-    if json {
-        return print_json(&Report {
-            file: output.display().to_string(),
-            fidelity: encoded.map(|(config, _)| FidelityReport::of(config)),
-            messages: copied.messages,
-            clouds: copied.clouds,
-            points: copied.points,
-            kept: copied.kept,
-            attachments: copied.attachments,
-            cloud_bytes_before: before,
-            cloud_bytes_after: after,
-            damage: copied.damage.clone(),
-            left_out,
-            verified,
-            seconds,
-        });
-    }
-    if !quiet {
-        let kept = match copied.kept {
-            0 => String::new(),
-            kept => format!(", {} of a topic of clouds copied as they are", table::count(kept, "message")),
-        };
-        let sizes = match before {
-            0 => "none",
-            _ if after >= before => &table::bytes(after),
-            _ => &format!(
-                "{} -> {} ({})",
-                table::bytes(before),
-                table::bytes(after),
-                table::percent(metrics::ratio(before, after))
-            ),
-        };
-        eprintln!(
-            "{}, {}: {sizes}{kept}{}{}{} in {seconds:.1} s",
-            table::count(copied.messages, "message"),
-            table::count(copied.clouds, "cloud"),
-            match encoded {
-                Some((config, _)) if copied.clouds > 0 => {
-                    format!(", {}", fidelity(config, None))
-                }
-                _ => String::new(),
-            },
-            left_out_of(left_out),
-            if verified { ", verified" } else { "" },
-        );
-    }
     Ok(())
 }
 
