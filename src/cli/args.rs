@@ -208,14 +208,14 @@ pub struct EncodeArgs {
 }
 
 impl DecodeArgs {
-    /// The output path; stdout until `decode` has chosen the default.
+    /// The output path, once the default has been filled in.
     pub fn output(&self) -> &Path {
         self.output.as_deref().unwrap_or(Path::new("-"))
     }
 }
 
 impl EncodeArgs {
-    /// The output path; stdout until `encode` has chosen the default.
+    /// The output path, once the default has been filled in.
     pub fn output(&self) -> &Path {
         self.output.as_deref().unwrap_or(Path::new("-"))
     }

@@ -32,7 +32,7 @@ pub struct LossReport {
     file: String,
     /// Number of damaged places.
     places: u64,
-    /// Number of frames lost there; 0 if only what exists twice, or no frame needs, was hit.
+    /// Number of frames lost there; 0 if only data is damaged that exists twice or that no frame needs.
     frames: u64,
     maybe_more: bool,
 }

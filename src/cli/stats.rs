@@ -1,7 +1,9 @@
 //! `lidarpc stats`
 
 mod comparison;
+mod poses;
 mod scanners;
+mod steps;
 
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Seek, Write};
@@ -17,7 +19,7 @@ use super::args::{StatsArgs, wrong_usage};
 use super::errors::about;
 use super::input::{Input, Originals, is_recording, name_of, open};
 use super::output::print_json;
-use super::{poses, recording, steps, table};
+use super::{recording, table};
 use comparison::{Against, compare};
 use scanners::{KnownScanners, ScannerStats};
 

@@ -1,4 +1,5 @@
-//! Trees of drives: each drive is encoded to a stream of its own below a folder, and decoded.
+//! Trees: each drive of a tree is encoded to a stream of its own in a folder, and each stream of a folder is decoded to a
+//! folder of its own.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -132,8 +133,8 @@ fn print(done: &[(StreamReport, String)], skipped: usize, is_verbose: bool, star
     );
 }
 
-/// The drives of the inputs. Each may have the same names as others: inputs that are folders are searched one
-/// by one, files are grouped by their folders. Also what is left out of all inputs.
+/// The drives of the inputs, and what is left out of these. As the same names may occur in several inputs, folders are
+/// searched one by one, and files are grouped by their folders.
 fn drives(args: &EncodeArgs, quiet: bool) -> Result<(Vec<Drive>, LeftOut)> {
     let mut inputs: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
     for input in &args.inputs {

@@ -18,7 +18,7 @@ use super::output::print_json;
 use super::{progress, recording, table};
 
 /// The machine-readable report.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct Report {
     file: String,
     whole: bool,
@@ -38,6 +38,23 @@ struct Report {
     deep: bool,
 }
 
+impl Report {
+    /// The report on a file that is whole, in a line.
+    fn summary(&self) -> String {
+        let frames = match self.messages {
+            Some(messages) => {
+                let clouds = table::count(self.frames, "compressed cloud");
+                format!("{}, of which {clouds}", table::count(messages, "message"))
+            }
+            None => table::frames_and_files(self.frames, self.files_beside),
+        };
+        let bytes = table::bytes(self.file_bytes);
+        let same = if self.compared { ", all as the originals" } else { "" };
+        let deep = if self.deep { ", decoded without vector units" } else { "" };
+        format!("{}: whole; {frames}, {bytes}{same}{deep}", self.file)
+    }
+}
+
 pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
     if !args.against.is_empty() && args.inputs.iter().any(|input| is_recording(input)) {
         wrong_usage("verify", "--against compares scans; a recording is compared by `encode --verify`");
@@ -51,32 +68,13 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
     };
     let mut reports = Vec::new();
     let verified = for_each_file("verify", &args.inputs, |input| {
-        let mut report = Report {
-            file: name_of(input),
-            whole: false,
-            error: None,
-            frames: 0,
-            files_beside: 0,
-            file_bytes: 0,
-            messages: None,
-            compared: originals.is_some(),
-            deep: args.deep,
-        };
+        let compared = originals.is_some();
+        let mut report = Report { file: name_of(input), compared, deep: args.deep, ..Report::default() };
         let verified = verify(args, input, originals.as_mut(), &mut report, quiet);
         report.whole = verified.is_ok();
         report.error = verified.as_ref().err().map(line);
         if !quiet && !args.json && report.whole {
-            let same = if report.compared { ", all as the originals" } else { "" };
-            let deep = if report.deep { ", decoded without vector units" } else { "" };
-            let frames = match report.messages {
-                Some(messages) => {
-                    let clouds = table::count(report.frames, "compressed cloud");
-                    format!("{}, of which {clouds}", table::count(messages, "message"))
-                }
-                None => table::frames_and_files(report.frames, report.files_beside),
-            };
-            let bytes = table::bytes(report.file_bytes);
-            writeln!(io::stdout(), "{}: whole; {frames}, {bytes}{same}{deep}", report.file)?;
+            writeln!(io::stdout(), "{}", report.summary())?;
         }
         reports.push(report);
         verified

@@ -9,12 +9,12 @@ use crate::stream::{self, DecodeOptions, DecodedFrame, FrameInput};
 use anyhow::Result;
 use serde::Serialize;
 
-use super::args::{StatsArgs, encoder_config};
-use super::encoding::encode_in_memory;
-use super::errors::about;
-use super::input::{is_stream, name_of, open};
-use super::output::print_json;
-use super::{progress, table};
+use crate::cli::args::{StatsArgs, encoder_config};
+use crate::cli::encoding::encode_in_memory;
+use crate::cli::errors::about;
+use crate::cli::input::{is_stream, name_of, open};
+use crate::cli::output::print_json;
+use crate::cli::{progress, table};
 
 /// The complete report; all values are means over frames.
 #[derive(Serialize)]

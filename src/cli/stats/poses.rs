@@ -8,11 +8,11 @@ use crate::inter::registration::{Pose, RegistrationConfig, RigidMotion, Surface,
 use crate::stream::{self, DecodeOptions, DecodedFrame};
 use anyhow::Result;
 
-use super::args::StatsArgs;
-use super::errors::about;
-use super::input::{name_of, open};
-use super::output::{FileOutput, about_output, keep_inputs, name_of_output};
-use super::progress;
+use crate::cli::args::StatsArgs;
+use crate::cli::errors::about;
+use crate::cli::input::{name_of, open};
+use crate::cli::output::{FileOutput, about_output, keep_inputs, name_of_output};
+use crate::cli::progress;
 
 pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {
     keep_inputs(path, std::slice::from_ref(&args.input))?;
