@@ -1,5 +1,6 @@
-//! Consistency of documents and sources: folders use only those listed before them, files that code or parse parts of a
-//! stream cite their sections of FORMAT.md, and cited sections exist.
+//! Consistency of documents and sources: folders use only those listed before them, files of the command line do not use
+//! each other in circles, files that code or parse parts of a stream cite their sections of FORMAT.md, and cited sections
+//! exist.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -97,6 +98,42 @@ fn folders_use_those_above_them() {
         }
     }
     assert!(wrong.is_empty(), "folders use others that stand below them:\n{}", wrong.join("\n"));
+}
+
+/// The first names below a path such as `super::`, wherever code uses it, also in braces.
+fn names_below<'t>(code: &'t str, path: &'t str) -> impl Iterator<Item = &'t str> {
+    code.split(path).skip(1).flat_map(|rest| {
+        let names = rest.strip_prefix('{').map_or(rest, |rest| rest.split('}').next().unwrap());
+        let most = if rest.starts_with('{') { usize::MAX } else { 1 };
+        let name = |text: &'t str| text.trim().split(|c: char| !c.is_alphanumeric() && c != '_').next();
+        names.split(',').take(most).filter_map(name)
+    })
+}
+
+/// A file and the folder of the same name count as one. `mod.rs` uses all files.
+#[test]
+fn files_of_the_command_line_do_not_use_each_other_in_circles() {
+    let mut files = BTreeMap::<String, String>::new();
+    for (name, text) in sources() {
+        let Some(file) = name.strip_prefix("cli/").filter(|file| *file != "mod.rs") else { continue };
+        let file = file.split(['/', '.']).next().unwrap().to_owned();
+        files.entry(file).or_default().push_str(&code(&name, &text).join("\n"));
+    }
+    let uses = |(file, code): (&String, &String)| {
+        let names = ["super::", "crate::cli::"].into_iter().flat_map(|path| names_below(code, path));
+        let used = names.filter(|used| *used != file && files.contains_key(*used));
+        (file.clone(), used.map(str::to_owned).collect::<BTreeSet<_>>())
+    };
+    let mut uses: BTreeMap<_, _> = files.iter().map(uses).collect();
+    assert!(uses["dispatch"].contains("encode") && uses["stats"].contains("table"));
+    // A file that uses none of the others is in no circle, so it does not matter which files use it.
+    while let Some(file) = uses.keys().find(|file| uses[*file].is_empty()).cloned() {
+        uses.remove(&file);
+        for used in uses.values_mut() {
+            used.remove(&file);
+        }
+    }
+    assert!(uses.is_empty(), "files of src/cli use each other in circles: {uses:#?}");
 }
 
 #[test]
