@@ -151,6 +151,20 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
     fs::remove_file(bench.path("out/a/drive_1.lpc")).unwrap();
     let said = bench.says("encode tree -o out --all --resume");
     assert!(said.contains("1 drive, 12 frames: ") && said.contains("1 drive there already"), "{said}");
+    // Files of drives that are not what this would write, or no streams at all.
+    let good = fs::read(bench.path("out/a/drive_1.lpc")).unwrap();
+    for bad in [&[][..], b"no stream", &[&b"X"[..], &good[1..]].concat(), &good[..good.len() - 9]] {
+        fs::write(bench.path("out/a/drive_1.lpc"), bad).unwrap();
+        for command in ["encode tree -o out --all --resume", "decode out -o lost --force"] {
+            let said = bench.command(command).output().unwrap();
+            let error = String::from_utf8(said.stderr).unwrap();
+            assert_eq!(said.status.code(), Some(1), "{command}: {error}");
+            assert!(error.contains("drive_1.lpc: ") && error.contains("1 of 2 "), "{command}: {error}");
+        }
+    }
+    fs::write(bench.path("out/a/drive_1.lpc"), &good).unwrap();
+    let said = bench.command("encode tree -o out --all --resume --level 1").output().unwrap();
+    assert_eq!(said.status.code(), Some(1), "other settings");
     let said = bench.command("encode tree -o out --all").output().unwrap();
     assert_eq!(said.status.code(), Some(1));
     let said = String::from_utf8(said.stderr).unwrap();

@@ -171,7 +171,7 @@ pub struct EncodeArgs {
     /// Writes to FILE.partial, which remains after any interruption; the same command then continues after the last
     /// complete group of frames, with the same result. FILE.partial.journal records the inputs and settings. Both are
     /// removed when the output is complete. An output that is complete already is compared with the inputs and settings,
-    /// and left as it is. If the output is a folder: skips the drives whose files exist.
+    /// and left as it is. If the output is a folder, all this holds for the file of each drive.
     #[arg(long)]
     pub resume: bool,
     /// Overwrite the output if it exists.

@@ -1,36 +1,22 @@
 //! `lidarpc encode` for scans: folders and files, or frames from stdin, to one stream.
 
-use std::fs::File;
-use std::io::{self, Seek};
+use std::io;
 use std::time::Instant;
 
-use crate::edit;
-use crate::files::sequence::LeftOut;
 use crate::files::{ArrivedFile, ArrivingFrames};
 use crate::frame::EncoderConfig;
-use crate::ground::error::Error;
-use crate::stream::{self, Encoded, FrameInput};
+use crate::stream::{self, FrameInput};
 use crate::study::metrics;
 use anyhow::{Result, ensure};
 
 use super::args::EncodeArgs;
-use super::cleanup::SayOnSignal;
-use super::encoding::{create_output, encode_files, finish_output, verify};
+use super::encoding::{Done, create_output, encode_found, finish_output};
 use super::errors::about;
-use super::frames::{self, Found};
+use super::frames;
 use super::input::is_dash;
 use super::output::{name_of_output, print_json};
-use super::partial::{self, PartialOutput};
 use super::report::{StreamReport, summary};
 use super::{progress, table};
-
-/// The result of a run.
-struct Done {
-    encoded: Encoded,
-    left_out: LeftOut,
-    /// Whether the output was complete before, so that nothing was encoded.
-    was_complete: bool,
-}
 
 pub fn run(args: &EncodeArgs, mut config: EncoderConfig, quiet: bool) -> Result<()> {
     let start = Instant::now();
@@ -69,76 +55,6 @@ fn encode_stdin(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Resul
     }
     finish_output(args, output, &encoded, quiet)?;
     Ok(Done { encoded, left_out, was_complete: false })
-}
-
-/// Encodes files, with `--resume` in one or more runs.
-fn encode_found(args: &EncodeArgs, config: &EncoderConfig, found: &Found, quiet: bool) -> Result<Done> {
-    let complete = match args.resume && !args.force {
-        true => {
-            partial::complete(args.output()).map_err(|error| about(error, &name_of_output(args.output())))?
-        }
-        false => None,
-    };
-    let was_complete = complete.is_some();
-    let encoded = match complete {
-        Some(stream) => confirm(args, config, &found.inputs(), stream, quiet)?,
-        None if args.resume => encode_in_runs(args, config, &found.inputs(), quiet)?,
-        None => encode_files(args, config, found, quiet)?,
-    };
-    Ok(Done { encoded, left_out: found.left_out.clone(), was_complete })
-}
-
-/// Encodes to a file that is kept if this is interrupted, and continues what an interrupted run left.
-fn encode_in_runs(
-    args: &EncodeArgs,
-    config: &EncoderConfig,
-    frames: &[FrameInput],
-    quiet: bool,
-) -> Result<Encoded> {
-    let name = name_of_output(args.output());
-    let words =
-        format!("interrupted; what is done is kept in {name}.partial, and the same command goes on with it");
-    let _words = (!quiet).then(|| SayOnSignal::new(words));
-    let output = PartialOutput::open(args.output(), args.force)?;
-    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
-    let encoded =
-        output.files().and_then(|files| edit::encode_resuming(frames, config, files, &|| bar.inc(1)));
-    bar.finish_and_clear();
-    let encoded = encoded.map_err(|error| about(error, &name))?;
-    if args.verify {
-        verify(args, &encoded, output.reopen()?, quiet)?;
-    }
-    output.finish().map_err(|error| about(error, &name))?;
-    Ok(encoded)
-}
-
-/// Confirms that the output of an earlier run is what this run would write.
-///
-/// # Errors
-/// With what differs.
-fn confirm(
-    args: &EncodeArgs,
-    config: &EncoderConfig,
-    frames: &[FrameInput],
-    mut stream: File,
-    quiet: bool,
-) -> Result<Encoded> {
-    let name = name_of_output(args.output());
-    let bar = progress::bar(Some(frames.len() as u64), "comparing", quiet);
-    let encoded = edit::confirm_complete(frames, config, &stream, &|| bar.inc(1));
-    bar.finish_and_clear();
-    let encoded = encoded.map_err(|error| match error {
-        Error::Usage(what) => {
-            let what = format!("exists, but {what}; use --force to overwrite it, or choose another output");
-            Error::Input { path: args.output().to_path_buf(), what }.into()
-        }
-        _ => about(error, &name),
-    })?;
-    if args.verify {
-        stream.rewind().map_err(|error| about(error.into(), &name))?;
-        verify(args, &encoded, stream, quiet)?;
-    }
-    Ok(encoded)
 }
 
 /// Reports what was encoded: frame by frame if that is wanted, then as JSON or in a line.

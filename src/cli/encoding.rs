@@ -1,29 +1,58 @@
 //! Encodes scans with a progress bar: to a file that exists only when it is complete, or in memory.
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Seek};
 
+use crate::edit;
+use crate::files::sequence::LeftOut;
 use crate::frame::{EncoderConfig, StageReport};
-use crate::ground::error;
+use crate::ground::error::{self, Error};
 use crate::stream::{self, DecodeOptions, DecodedFrame, Encoded, FrameInput};
 use anyhow::{Context, Result, bail, ensure};
 
 use super::args::EncodeArgs;
+use super::cleanup::SayOnSignal;
 use super::errors::about;
 use super::frames::Found;
 use super::output::{FileOutput, name_of_output};
-use super::{partial, progress};
+use super::partial::{self, PartialOutput};
+use super::progress;
+
+/// The result of a run.
+pub struct Done {
+    pub encoded: Encoded,
+    pub left_out: LeftOut,
+    /// Whether the output was complete before, so that nothing was encoded.
+    pub was_complete: bool,
+}
+
+/// Encodes files, with `--resume` in one or more runs. An output that is complete is then compared with the files and the
+/// settings.
+///
+/// # Errors
+/// If a file cannot be read; if the output exists, cannot be written, or decodes to something else; if a complete one
+/// differs.
+pub fn encode_found(args: &EncodeArgs, config: &EncoderConfig, found: &Found, quiet: bool) -> Result<Done> {
+    let complete = match args.resume && !args.force {
+        true => {
+            partial::complete(args.output()).map_err(|error| about(error, &name_of_output(args.output())))?
+        }
+        false => None,
+    };
+    let was_complete = complete.is_some();
+    let encoded = match complete {
+        Some(stream) => confirm(args, config, &found.inputs(), stream, quiet)?,
+        None if args.resume => encode_in_runs(args, config, &found.inputs(), quiet)?,
+        None => encode_files(args, config, found, quiet)?,
+    };
+    Ok(Done { encoded, left_out: found.left_out.clone(), was_complete })
+}
 
 /// Encodes files to the output, which exists only when it is complete and, if that is wanted, verified.
 ///
 /// # Errors
 /// If a file cannot be read, or if the output exists, cannot be written, or decodes to something else.
-pub fn encode_files(
-    args: &EncodeArgs,
-    config: &EncoderConfig,
-    found: &Found,
-    quiet: bool,
-) -> Result<Encoded> {
+fn encode_files(args: &EncodeArgs, config: &EncoderConfig, found: &Found, quiet: bool) -> Result<Encoded> {
     let mut output = create_output(args, quiet)?;
     let frames = found.inputs();
     let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
@@ -31,6 +60,59 @@ pub fn encode_files(
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &name_of_output(args.output())))?;
     finish_output(args, output, &encoded, quiet)?;
+    Ok(encoded)
+}
+
+/// Encodes to a file that is kept if this is interrupted, and continues what an interrupted run left.
+fn encode_in_runs(
+    args: &EncodeArgs,
+    config: &EncoderConfig,
+    frames: &[FrameInput],
+    quiet: bool,
+) -> Result<Encoded> {
+    let name = name_of_output(args.output());
+    let words =
+        format!("interrupted; what is done is kept in {name}.partial, and the same command goes on with it");
+    let _words = (!quiet).then(|| SayOnSignal::new(words));
+    let output = PartialOutput::open(args.output(), args.force)?;
+    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
+    let encoded =
+        output.files().and_then(|files| edit::encode_resuming(frames, config, files, &|| bar.inc(1)));
+    bar.finish_and_clear();
+    let encoded = encoded.map_err(|error| about(error, &name))?;
+    if args.verify {
+        verify(args, &encoded, output.reopen()?, quiet)?;
+    }
+    output.finish().map_err(|error| about(error, &name))?;
+    Ok(encoded)
+}
+
+/// Confirms that the output of an earlier run is what this run would write.
+///
+/// # Errors
+/// With what differs.
+fn confirm(
+    args: &EncodeArgs,
+    config: &EncoderConfig,
+    frames: &[FrameInput],
+    mut stream: File,
+    quiet: bool,
+) -> Result<Encoded> {
+    let name = name_of_output(args.output());
+    let bar = progress::bar(Some(frames.len() as u64), "comparing", quiet);
+    let encoded = edit::confirm_complete(frames, config, &stream, &|| bar.inc(1));
+    bar.finish_and_clear();
+    let encoded = encoded.map_err(|error| match error {
+        Error::Usage(what) => {
+            let what = format!("exists, but {what}; use --force to overwrite it, or choose another output");
+            Error::Input { path: args.output().to_path_buf(), what }.into()
+        }
+        _ => about(error, &name),
+    })?;
+    if args.verify {
+        stream.rewind().map_err(|error| about(error.into(), &name))?;
+        verify(args, &encoded, stream, quiet)?;
+    }
     Ok(encoded)
 }
 

@@ -19,10 +19,10 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, wrong_usage};
-use super::encoding::encode_files;
+use super::encoding::{Done, encode_found};
 use super::errors::{NotWhole, say};
 use super::frames::{self, Found};
-use super::input::{is_pipe, is_stream};
+use super::input::is_pipe;
 use super::output::{create_folders, parent, print_json};
 use super::report::{LeftOutReport, StreamReport, summary};
 use super::{progress, table};
@@ -49,12 +49,7 @@ struct TreeReport<'a> {
 /// `encode` into a folder: a stream for each drive.
 pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
     let start = Instant::now();
-    let (mut drives, left_out) = drives(args, quiet)?;
-    let all = drives.len();
-    if args.resume {
-        drives.retain(|drive| !drive.output.exists());
-    }
-    let skipped = all - drives.len();
+    let (drives, left_out) = drives(args, quiet)?;
     let threads = resolve_threads(config.threads);
     let jobs = args.jobs.map_or(if drives.len() >= threads { threads } else { 1 }, usize::from);
     let each = EncoderConfig { threads: (threads / jobs).max(1), ..config.clone() };
@@ -67,14 +62,15 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     let reports = encode_each(args, &each, &drives, jobs, &bar, quiet);
     bar.finish_and_clear();
     let failed = reports.iter().filter(|report| report.is_err()).count();
-    let done: Vec<(StreamReport, String)> = reports.into_iter().flatten().collect();
+    let (complete, done): (Vec<DriveReport>, Vec<DriveReport>) =
+        reports.into_iter().flatten().partition(|report| report.stream.was_complete);
     if args.json {
         print_json(&TreeReport {
-            drives: done.iter().map(|(report, _)| report).collect(),
+            drives: done.iter().map(|report| &report.stream).collect(),
             left_out: LeftOutReport::of(&left_out),
         })?;
     } else if !quiet {
-        print(&done, skipped, args.verbose, start);
+        print(&done, complete.len(), args.verbose, start);
     }
     ensure!(failed == 0, "{failed} of {} failed", table::count(drives.len() as u64, "drive"));
     Ok(())
@@ -89,7 +85,7 @@ fn encode_each(
     jobs: usize,
     bar: &ProgressBar,
     quiet: bool,
-) -> Vec<Result<(StreamReport, String)>> {
+) -> Vec<Result<DriveReport>> {
     let (next, reports) = (AtomicUsize::new(0), Mutex::new(BTreeMap::new()));
     std::thread::scope(|scope| {
         for _ in 0..jobs.min(drives.len()) {
@@ -109,21 +105,22 @@ fn encode_each(
     reports.into_inner().unwrap_or_else(PoisonError::into_inner).into_values().collect()
 }
 
-/// Prints a line for each drive, unless there are many, and one for all. `skipped` had been encoded before.
-fn print(done: &[(StreamReport, String)], skipped: usize, is_verbose: bool, start: Instant) {
+/// Prints a line for each drive, unless there are many, and one for all. `complete` had been encoded before.
+fn print(done: &[DriveReport], complete: usize, is_verbose: bool, start: Instant) {
     /// The largest number of drives whose lines are printed unasked.
     const FEW: usize = 20;
-    for (report, line) in done.iter().filter(|_| done.len() <= FEW || is_verbose) {
-        eprintln!("{}: {line}", report.file);
+    for DriveReport { stream, line } in done.iter().filter(|_| done.len() <= FEW || is_verbose) {
+        eprintln!("{}: {line}", stream.file);
     }
-    let of_all = |count: fn(&StreamReport) -> u64| done.iter().map(|(report, _)| count(report)).sum::<u64>();
+    let of_all =
+        |count: fn(&StreamReport) -> u64| done.iter().map(|report| count(&report.stream)).sum::<u64>();
     let (before, after) = (of_all(|report| report.file_bytes), of_all(|report| report.stream_bytes));
-    let skipped = match skipped {
+    let complete = match complete {
         0 => String::new(),
         drives => format!(", {} there already", table::count(drives as u64, "drive")),
     };
     eprintln!(
-        "{}, {}: {} -> {} ({}){skipped} in {:.1} s",
+        "{}, {}: {} -> {} ({}){complete} in {:.1} s",
         table::count(done.len() as u64, "drive"),
         table::count(of_all(|report| report.frames), "frame"),
         table::bytes(before),
@@ -203,13 +200,19 @@ fn drives_of(
     Ok(drives)
 }
 
-/// Encodes a drive; returns the report, machine-readable and as a line of text.
+/// The report on a drive, machine-readable and as a line of text.
+struct DriveReport {
+    stream: StreamReport,
+    line: String,
+}
+
+/// Encodes a drive or, with `--resume`, compares its complete stream with it.
 fn encode_drive(
     args: &EncodeArgs,
     config: &EncoderConfig,
     drive: &Drive,
     quiet: bool,
-) -> Result<(StreamReport, String)> {
+) -> Result<DriveReport> {
     let start = Instant::now();
     let args = &EncodeArgs { output: Some(drive.output.clone()), ..args.clone() };
     let place = drive.output.display().to_string();
@@ -218,13 +221,14 @@ fn encode_drive(
     }
     let mut config = config.clone();
     frames::settle(&drive.found.frames, &mut config, &place, quiet)?;
-    let encoded = encode_files(args, &config, &drive.found, true)?;
+    let Done { encoded, was_complete, .. } = encode_found(args, &config, &drive.found, true)?;
     if args.rm {
         drive.found.delete(&args.inputs)?;
     }
-    let report =
-        StreamReport::of(args, &config, &encoded, &drive.found.left_out, start.elapsed().as_secs_f64());
-    Ok((report, summary(args, &config, &encoded)))
+    let seconds = start.elapsed().as_secs_f64();
+    let mut stream = StreamReport::of(args, &config, &encoded, &drive.found.left_out, seconds);
+    stream.was_complete = was_complete;
+    Ok(DriveReport { stream, line: summary(args, &config, &encoded) })
 }
 
 /// `decode` for a folder of streams: `decode_stream` decodes each into a folder with its path and name.
@@ -259,7 +263,7 @@ pub fn decode(args: &DecodeArgs, decode_stream: impl Fn(&DecodeArgs) -> Result<(
     }
 }
 
-/// The streams in a folder and below it, in natural order.
+/// The files in a folder and below it that are streams by their names, in natural order.
 fn streams_below(folder: &Path) -> Result<Vec<PathBuf>> {
     let (mut open, mut streams) = (vec![folder.to_path_buf()], Vec::new());
     while let Some(folder) = open.pop() {
@@ -270,10 +274,10 @@ fn streams_below(folder: &Path) -> Result<Vec<PathBuf>> {
             let path = entry.path();
             if kind.is_dir() {
                 open.push(path);
-            } else if path.extension().is_some_and(|ending| ending == STREAM_EXTENSION)
-                && is_stream(&path)
+            } else if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case(STREAM_EXTENSION))
                 && !is_pipe(&path)
             {
+                // A file that is no stream is damaged, or empty: an error, not another file.
                 streams.push(path);
             }
         }

@@ -108,7 +108,9 @@ pub fn starts_as_scan(name: &str, start: &[u8]) -> bool {
         Some((Kind::Kitti | Kind::NuScenes, _)) => true,
         Some((Kind::Pcd, _)) => pcd::Header::parse(start).is_some(),
         Some((Kind::Ply, _)) => ply::Header::parse(start).is_some(),
-        Some((Kind::Columns | Kind::Xyz, _)) => Table::find(start).is_some(),
+        Some((Kind::Columns | Kind::Xyz, _)) => {
+            Table::find(start).is_some() || table::starts_with_names(start)
+        }
         Some((Kind::Numpy, _)) => numpy::Header::parse(start).is_some(),
         Some((Kind::Las, _)) => las::Header::parse(start).is_some(),
         Some((Kind::Arrow, _)) => arrow::Header::parse(start).is_some(),
@@ -141,8 +143,10 @@ pub fn starts_as_scan_of_folder(name: &str, start: &[u8]) -> bool {
         Some((Kind::Arrow, _)) => {
             arrow::Header::parse(start).is_some_and(|header| header.looks_like_points())
         }
-        _ => Table::find(start)
-            .is_some_and(|table| table.names_coordinates() || table.looks_like_points(start)),
+        _ => match Table::find(start) {
+            Some(table) => table.names_coordinates() || table.looks_like_points(start),
+            None => table::starts_with_names(start),
+        },
     })
 }
 

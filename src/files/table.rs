@@ -72,6 +72,14 @@ impl Table {
     }
 }
 
+/// Whether the first line of a file names coordinates between commas, semicolons or tabs: its lines may hold other than
+/// numbers then, such as labels in words, but each is a point.
+pub(super) fn starts_with_names(bytes: &[u8]) -> bool {
+    let names =
+        first_line(bytes).map(|line| line.trim().split([',', ';', '\t']).map(name_in).collect::<Vec<_>>());
+    names.is_some_and(|names| names_coordinates(names.iter().map(String::as_str)))
+}
+
 /// Parses a file. `None` if it has no lines of numbers, or if they would not be restored exactly.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let table = Table::find(bytes)?;
@@ -156,6 +164,16 @@ mod tests {
                 "{header}"
             );
             assert!(scan.suffix.is_empty());
+        }
+    }
+
+    #[test]
+    fn points_with_words_are_bytes_of_a_scan() {
+        let file = b"x,y,z,label\n1.5,2,3,car\n-1,2,3,tree\n";
+        assert!(starts_as_scan("a.csv", file) && starts_as_scan_of_folder("a.csv", file));
+        assert!(comes_back("a.csv", file.to_vec()).is_opaque());
+        for other in [&b"time,label\n1,car\n"[..], b"words, but x, y and z\n", b""] {
+            assert!(!starts_as_scan_of_folder("a.csv", other));
         }
     }
 
