@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use crate::common::formats::{kitti, pcd_extra, pcd_xyz};
 use crate::common::odd::{Change, Format, SCANS, changed_scan, noise};
-use crate::common::scans::{Points, random_points, rows, shuffled};
+use crate::common::scans::{Points, random_points, rows, scans, shuffled, small};
 use crate::common::streams::{at_level, halved};
 use crate::common::{
     File, cases, encode_files, first_files, real_folders, round_trip, section_bytes, take_apart,
@@ -13,6 +13,7 @@ use lidarpc::internals::container::{CodedFrame, Section, SectionKind};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scanner::hdl64::fit;
+use lidarpc::internals::study::synth::SynthConfig;
 use proptest::prelude::*;
 
 /// Settings with this many frames a group.
@@ -314,6 +315,24 @@ fn a_compressor_is_tried_again_for_clouds_of_another_kind() {
         .map(|files| round_trip(files, &EncoderConfig::default()).len());
     assert!(3 * regular < random, "{regular} bytes, {random} for random points");
     assert!(both < random + regular + 100, "{both} bytes, alone {random} and {regular}");
+}
+
+#[test]
+fn a_scanner_whose_numbers_the_file_does_not_have_is_not_used() {
+    // Coordinates that have lost bits, as in half precision: a scanner fits, but the corrections would take more than the points.
+    let scans = scans(&SynthConfig { beams: 16, thinning: 4, ..small(3, 2) });
+    let cut = |v: f32| f32::from_bits(v.to_bits() & !0xfff);
+    let cut: Vec<Points> = scans
+        .iter()
+        .map(|points| points.iter().map(|&[x, y, z, i]| [cut(x), cut(y), cut(z), i]).collect())
+        .collect();
+    let files: Vec<File> = (0..).zip(&cut).map(|(n, points)| (format!("{n}.bin"), kitti(points))).collect();
+    for level in [1, 6] {
+        let stream = round_trip(&files, &at_level(level));
+        let (scanners, sections) = (take_apart(&stream).0, section_bytes(&stream));
+        assert_eq!(scanners.len(), 1, "a scanner fits");
+        assert!(!sections.contains_key(&SectionKind::Correction), "level {level}: {sections:?}");
+    }
 }
 
 #[test]
