@@ -185,49 +185,48 @@ impl Constants<'_> {
             true => recipe.is_on_axis(),
             false => recipe.starts_in_beam(),
         });
-        let known =
-            recipes.map(|recipe| Firings::new(Build { recipe, ..build.clone() }, Vec::new(), Vec::new()));
+        let known = recipes.map(|recipe| Firings::without_lasers(Build { recipe, ..build.clone() }));
         // A recipe that reproduces fewer points than another need not be counted to the end, and one after the first
         // that reproduces all of them need not be tried.
         let (most, first_perfect) = (AtomicUsize::new(0), AtomicUsize::new(usize::MAX));
-        let tried = known.clone().filter_map(|any| {
-            let number = any.build.recipe as usize;
+        let tried = known.clone().filter_map(|bare| {
+            let number = bare.build.recipe as usize;
             if number > first_perfect.load(Ordering::Relaxed) {
                 return None;
             }
-            let (common, exact) = self.common(&any, &offsets, &few, most.load(Ordering::Relaxed));
+            let (common, exact) = self.common(&bare, &offsets, &few, most.load(Ordering::Relaxed));
             most.fetch_max(exact, Ordering::Relaxed);
             if exact == points {
                 first_perfect.fetch_min(number, Ordering::Relaxed);
             }
-            Some((any, common, exact))
+            Some((bare, common, exact))
         });
         let best = first_of_equals(tried.collect(), |(.., exact)| *exact)?;
         let turned = (4 * best.2 < 3 * points).then(|| {
-            let tried = known.map(|any| {
-                let exact = self.exact_turned(&any, &offsets, &few);
-                (any, 0, exact)
+            let tried = known.map(|bare| {
+                let exact = self.exact_turned(&bare, &offsets, &few);
+                (bare, 0, exact)
             });
             first_of_equals(tried.collect(), |(.., exact)| *exact)
         });
         let turned = turned.flatten().filter(|(.., exact)| 4 * exact >= 3 * points);
         let are_turned = turned.is_some();
-        let (any, common, exact) = turned.unwrap_or(best);
-        let may_turn = any.build.recipe.adds_in_single() && 2 * exact > points;
+        let (bare, common, exact) = turned.unwrap_or(best);
+        let may_turn = bare.build.recipe.adds_in_single() && 2 * exact > points;
         let of_row = |row: usize| {
             let offset = offsets[row] + f64::from(common) * tick;
-            let (elevations, _) = self.elevations(&any, row, 0);
-            let (mut laser, exact) = self.laser_among(&any, row, offset, &elevations, 0);
+            let (elevations, _) = self.elevations(&bare, row, 0);
+            let (mut laser, exact) = self.laser_among(&bare, row, offset, &elevations, 0);
             // The offset may be wrong by whole ticks of its own, because there were too few points or because ticks
             // pass until the laser fires.
             if may_turn && 4 * exact < 3 * self.of_rows[row].len() {
-                laser = self.turned(&any, row, offset, &elevations).0;
+                laser = self.turned(&bare, row, offset, &elevations).0;
             }
-            let sums = matches!(any.build.recipe, Recipe::Nebula | Recipe::Nebula2023 | Recipe::Once);
-            if sums { self.of_sums(&any, row, laser) } else { laser }
+            let sums = matches!(bare.build.recipe, Recipe::Nebula | Recipe::Nebula2023 | Recipe::Once);
+            if sums { self.of_sums(&bare, row, laser) } else { laser }
         };
         let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
-        Some(Determined { recipe: any.build.recipe, lasers, are_turned })
+        Some(Determined { recipe: bare.build.recipe, lasers, are_turned })
     }
 
     /// What reproduces points whose coordinates were rounded, given the offsets of the lasers in degrees. Rounding hides
@@ -238,7 +237,7 @@ impl Constants<'_> {
         /// In degrees: the largest error of an angle.
         const UNSURE: f64 = 2e-3;
         let recipe = Recipe::DoubleXAhead;
-        let any = Firings::new(Build { recipe, ..build.clone() }, Vec::new(), Vec::new());
+        let bare = Firings::without_lasers(Build { recipe, ..build.clone() });
         let written = |degrees: f64| {
             let rounded = DIGITS.map(|digits| round_ties_even(degrees * digits) / digits);
             let near = rounded.into_iter().filter(move |rounded| (rounded - degrees).abs() < UNSURE);
@@ -249,7 +248,7 @@ impl Constants<'_> {
             let lasers = elevations
                 .flat_map(|elevation| written(offsets[row]).map(move |azimuth| Laser { elevation, azimuth }));
             let none = lasers.clone().last().unwrap_or_default();
-            best_of(&any, lasers, &self.more_of_rows[row], none).0
+            best_of(&bare, lasers, &self.more_of_rows[row], none).0
         };
         let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
         Determined { recipe, lasers, are_turned: false }
@@ -258,14 +257,14 @@ impl Constants<'_> {
     /// Number of points of these rows that are reproduced if each offset is corrected by whole ticks of its own, as
     /// is necessary if ticks pass between the lasers of a firing. 0 if points were moved, if the recipe does not
     /// round sums to single precision, or if it does not reproduce three quarters of the heights.
-    fn exact_turned(&self, any: &Firings, offsets: &[f64], few: &[usize]) -> usize {
-        if self.are_moved(few) || !any.build.recipe.adds_in_single() {
+    fn exact_turned(&self, bare: &Firings, offsets: &[f64], few: &[usize]) -> usize {
+        if self.are_moved(few) || !bare.build.recipe.adds_in_single() {
             return 0;
         }
         let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
-        let elevations = self.elevations_of(any, few, (3 * points).div_ceil(4));
+        let elevations = self.elevations_of(bare, few, (3 * points).div_ceil(4));
         let exact = |(&row, (elevations, _)): (&usize, &(Vec<i64>, usize))| {
-            self.turned(any, row, offsets[row], elevations).1
+            self.turned(bare, row, offsets[row], elevations).1
         };
         few.iter().zip(&elevations).map(exact).sum()
     }
@@ -273,53 +272,53 @@ impl Constants<'_> {
     /// The laser near another one that reproduces the most of many points to the last bit. With sums in single
     /// precision, only many points determine the offset, and only then does the cosine distinguish elevations of
     /// equal sine.
-    fn of_sums(&self, any: &Firings, row: usize, laser: Laser) -> Laser {
+    fn of_sums(&self, bare: &Firings, row: usize, laser: Laser) -> Laser {
         let points = &self.more_of_rows[row];
-        let sharpest = |laser: Laser| sharpest(any, laser, points, &self.near_axes[row]);
+        let sharpest = |laser: Laser| sharpest(bare, laser, points, &self.near_axes[row]);
         let first = sharpest(laser);
         if first.1 == points.len() {
             return first.0;
         }
-        let step = any.build.recipe.angle_step(laser.elevation_degrees()) / ANGLE_UNIT;
+        let step = bare.build.recipe.angle_step(laser.elevation_degrees()) / ANGLE_UNIT;
         let steps = (1..=SAME as i32).flat_map(|steps| [steps, -steps]);
         let others = steps.map(|steps| laser.elevation + (f64::from(steps) * step).round() as i64);
         let others = others.map(|elevation| Laser { elevation, ..laser });
-        let high = exact_points(any, laser, points, 2..3, 0);
-        let same_sine = others.filter(|other| exact_points(any, *other, points, 2..3, high) >= high);
+        let high = exact_points(bare, laser, points, 2..3, 0);
+        let same_sine = others.filter(|other| exact_points(bare, *other, points, 2..3, high) >= high);
         same_sine.map(sharpest).fold(first, |best, next| if next.1 > best.1 { next } else { best }).0
     }
 
     /// The constants of a laser whose azimuth offset, in degrees, is wrong by an unknown number of whole ticks, and
     /// how many of its points they reproduce to the last bit, given the likeliest elevations.
-    fn turned(&self, any: &Firings, row: usize, offset: f64, elevations: &[i64]) -> (Laser, usize) {
+    fn turned(&self, bare: &Firings, row: usize, offset: f64, elevations: &[i64]) -> (Laser, usize) {
         /// Largest number of ticks that pass while the lasers fire.
         const MOST: i32 = 40;
-        let tick = 360.0 / f64::from(any.build.ticks);
-        let (laser, exact) = self.laser_among(any, row, offset, elevations, 0);
+        let tick = 360.0 / f64::from(bare.build.ticks);
+        let (laser, exact) = self.laser_among(bare, row, offset, elevations, 0);
         let points = &self.of_rows[row];
         if exact == points.len() {
             return (laser, exact);
         }
         let off = (1..=MOST).flat_map(|ticks| [ticks, -ticks]).map(|ticks| offset + f64::from(ticks) * tick);
         let lasers = off.clone().map(|degrees| Laser { azimuth: roundings(degrees)[0], ..laser });
-        let (best, _) = best_of(any, lasers, points, laser);
-        let (other, others) = self.laser_among(any, row, best.azimuth_degrees(), elevations, exact);
+        let (best, _) = best_of(bare, lasers, points, laser);
+        let (other, others) = self.laser_among(bare, row, best.azimuth_degrees(), elevations, exact);
         // A chance match, or another recipe, does not reproduce most points.
         if others > exact && 4 * others >= 3 * points.len() { (other, others) } else { (laser, exact) }
     }
 
     /// The whole ticks by which all offsets are wrong, as far as these rows determine them, and how many of their
     /// points are then reproduced: possibly 0 if there are fewer than `least`.
-    fn common(&self, any: &Firings, offsets: &[f64], few: &[usize], least: usize) -> (i32, usize) {
+    fn common(&self, bare: &Firings, offsets: &[f64], few: &[usize], least: usize) -> (i32, usize) {
         /// Smaller offsets, in degrees, count as none.
         const NONE: f64 = 1e-5;
-        let is_whole = 360_000 % any.build.ticks == 0;
+        let is_whole = 360_000 % bare.build.ticks == 0;
         let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
         let has_none = offsets.iter().all(|offset| offset.abs() < NONE);
-        let is_known = is_whole && (has_none || !any.build.recipe.adds_in_single());
+        let is_known = is_whole && (has_none || !bare.build.recipe.adds_in_single());
         // Heights do not depend on the offset, so they show whether this is the right recipe at all. The heights of
         // points that were moved show nothing.
-        let elevations = self.elevations_of(any, few, if self.are_moved(few) { 0 } else { least });
+        let elevations = self.elevations_of(bare, few, if self.are_moved(few) { 0 } else { least });
         if elevations.is_empty() {
             return (0, 0);
         }
@@ -329,7 +328,7 @@ impl Constants<'_> {
             let least = if is_known { self.of_rows[row].len().saturating_sub(left) } else { 0 };
             // `least` depends on what other threads have found so far, so it must not decide whether to give up.
             let wanted = if is_known { least.max(1) } else { 0 };
-            let (laser, exact) = self.laser_among(any, row, offsets[row], elevations, wanted);
+            let (laser, exact) = self.laser_among(bare, row, offsets[row], elevations, wanted);
             if exact < least {
                 return (0, 0);
             }
@@ -342,7 +341,7 @@ impl Constants<'_> {
         if exact == points || is_known {
             return (0, exact);
         }
-        let tried = Tried { constants: self, any, offsets, rows: few, found };
+        let tried = Tried { constants: self, bare, offsets, rows: few, found };
         if is_whole { tried.common_in_single_precision(least) } else { tried.common_of_fractions() }
     }
 
@@ -353,14 +352,14 @@ impl Constants<'_> {
 
     /// The likeliest elevations of these lasers, in units, and for how many points they reproduce the height; nothing
     /// if there are certainly fewer than `least` of these points.
-    fn elevations_of(&self, any: &Firings, rows: &[usize], least: usize) -> Vec<(Vec<i64>, usize)> {
+    fn elevations_of(&self, bare: &Firings, rows: &[usize], least: usize) -> Vec<(Vec<i64>, usize)> {
         let points: usize = rows.iter().map(|&row| self.of_rows[row].len()).sum();
         let mut left = points.checked_sub(least);
         let mut all = Vec::new();
         for &row in rows {
             let Some(may_miss) = left else { return Vec::new() };
             let size = self.of_rows[row].len();
-            let found = self.elevations(any, row, size.saturating_sub(may_miss));
+            let found = self.elevations(bare, row, size.saturating_sub(may_miss));
             left = may_miss.checked_sub(size - found.1);
             all.push(found);
         }
@@ -368,16 +367,16 @@ impl Constants<'_> {
     }
 
     /// The same for one laser.
-    fn elevations(&self, any: &Firings, row: usize, least: usize) -> (Vec<i64>, usize) {
+    fn elevations(&self, bare: &Firings, row: usize, least: usize) -> (Vec<i64>, usize) {
         let points = &self.of_rows[row];
         // Ranges are whole steps, so the height and the rounded range give the elevation more accurately than the
         // position does, if beams start in the axis.
         let elevation = |point: &Point| {
-            if any.build.origin != Origin::default() {
+            if bare.build.origin != Origin::default() {
                 return Some(point.elevation);
             }
-            let steps = whole_steps(point.range, any.range_step_m())?;
-            Some(libm::asin((point.position[2] / (f64::from(steps) * any.range_step_m())).clamp(-1.0, 1.0)))
+            let steps = whole_steps(point.range, bare.range_step_m())?;
+            Some(libm::asin((point.position[2] / (f64::from(steps) * bare.range_step_m())).clamp(-1.0, 1.0)))
         };
         let mut elevations: Vec<f64> = points.iter().filter_map(elevation).collect();
         elevations.sort_by(f64::total_cmp);
@@ -386,21 +385,21 @@ impl Constants<'_> {
         // The height determines the elevation, except among elevations of the same sine.
         let azimuth = 0;
         let of_elevation =
-            |elevation: i64, least| exact_points(any, Laser { elevation, azimuth }, points, 2..3, least);
-        angles(any.build.recipe, elevation, (points.len(), least), 0.0, of_elevation)
+            |elevation: i64, least| exact_points(bare, Laser { elevation, azimuth }, points, 2..3, least);
+        angles(bare.build.recipe, elevation, (points.len(), least), 0.0, of_elevation)
     }
 
     /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they reproduce to
     /// the last bit.
-    fn laser(&self, any: &Firings, row: usize, offset: f64) -> (Laser, usize) {
-        self.laser_among(any, row, offset, &self.elevations(any, row, 0).0, 0)
+    fn laser(&self, bare: &Firings, row: usize, offset: f64) -> (Laser, usize) {
+        self.laser_among(bare, row, offset, &self.elevations(bare, row, 0).0, 0)
     }
 
     /// The same, given the likeliest elevations; possibly without points if there are fewer than `least`. If that is
     /// 0, gives up where the offset is clearly wrong.
     fn laser_among(
         &self,
-        any: &Firings,
+        bare: &Firings,
         row: usize,
         offset: f64,
         elevations: &[i64],
@@ -415,11 +414,11 @@ impl Constants<'_> {
         let mut best = (Laser { elevation, azimuth }, 0);
         for &elevation in elevations.iter().take(SAME) {
             let of_azimuth = |azimuth: i64, least| {
-                exact_points(any, Laser { elevation, azimuth }, points, axes.clone(), least)
+                exact_points(bare, Laser { elevation, azimuth }, points, axes.clone(), least)
             };
             // Only more points than the best so far count.
             let wanted = (points.len(), least.max(best.1 + 1));
-            let (azimuths, exact) = angles(any.build.recipe, azimuth, wanted, AZIMUTH_STEP, of_azimuth);
+            let (azimuths, exact) = angles(bare.build.recipe, azimuth, wanted, AZIMUTH_STEP, of_azimuth);
             if exact > best.1 {
                 best = (Laser { elevation, azimuth: azimuths.first().copied().unwrap_or(azimuth) }, exact);
             }
@@ -436,7 +435,8 @@ impl Constants<'_> {
 /// The lasers of some rows, found with a recipe whose offsets may all be wrong by the same number of ticks.
 struct Tried<'c> {
     constants: &'c Constants<'c>,
-    any: &'c Firings,
+    /// Without lasers.
+    bare: &'c Firings,
     /// The azimuth offsets of all rows, in degrees.
     offsets: &'c [f64],
     rows: &'c [usize],
@@ -447,7 +447,7 @@ struct Tried<'c> {
 impl Tried<'_> {
     /// The offset of a row, in degrees, if all are wrong by this number of ticks.
     fn offset(&self, row: usize, common: i32) -> f64 {
-        self.offsets[row] + f64::from(common) * (360.0 / f64::from(self.any.build.ticks))
+        self.offsets[row] + f64::from(common) * (360.0 / f64::from(self.bare.build.ticks))
     }
 
     /// From the middle outwards, so that the smallest error wins ties.
@@ -467,7 +467,7 @@ impl Tried<'_> {
         };
         let mut best = (0, worth(&self.found));
         for common in Self::rising(FARTHEST) {
-            let laser = |&row: &usize| self.constants.laser(self.any, row, self.offset(row, common));
+            let laser = |&row: &usize| self.constants.laser(self.bare, row, self.offset(row, common));
             let worth = worth(&self.rows.iter().map(laser).collect::<Vec<_>>());
             if worth > best.1 {
                 best = (common, worth);
@@ -490,7 +490,7 @@ impl Tried<'_> {
         let points: usize = self.rows.iter().map(|&row| of_rows[row].len()).sum();
         let lasers = self.rows.iter().zip(&self.found);
         let heights: usize =
-            lasers.map(|(&row, (laser, _))| exact_points(self.any, *laser, &of_rows[row], 2..3, 0)).sum();
+            lasers.map(|(&row, (laser, _))| exact_points(self.bare, *laser, &of_rows[row], 2..3, 0)).sum();
         if 2 * heights < points || heights < least {
             return (0, exact);
         }
@@ -515,7 +515,7 @@ impl Tried<'_> {
         } else {
             self.likeliest(all, are_moved, &fewer)
         };
-        let exact_so = |&row: &usize| self.constants.laser(self.any, row, self.offset(row, common)).1;
+        let exact_so = |&row: &usize| self.constants.laser(self.bare, row, self.offset(row, common)).1;
         let sum = self.rows.iter().map(exact_so).sum();
         if sum > exact { (common, sum) } else { (0, exact) }
     }
@@ -536,7 +536,7 @@ impl Tried<'_> {
             let azimuth =
                 if are_thousandths { roundings(degrees)[0] } else { (degrees / ANGLE_UNIT).round() as i64 };
             let least = points.len().saturating_sub(left);
-            let exact = exact_points(self.any, Laser { azimuth, ..*laser }, points, 0..3, least);
+            let exact = exact_points(self.bare, Laser { azimuth, ..*laser }, points, 0..3, least);
             left = left.checked_sub(points.len() - exact)?;
         }
         Some(least + left)
@@ -555,7 +555,7 @@ impl Tried<'_> {
         let more: Vec<Vec<Point>> = self.rows.iter().map(|&row| more_of_rows[row].clone()).collect();
         let polished = |common: i32, (&row, (laser, _)): (&usize, &(Laser, usize))| {
             let azimuth = (self.offset(row, common) / ANGLE_UNIT).round() as i64;
-            polished(self.any, Laser { azimuth, ..*laser }, &of_rows[row]).1
+            polished(self.bare, Laser { azimuth, ..*laser }, &of_rows[row]).1
         };
         let count = |common: i32| match are_moved {
             true => self.count(common, true, &more, 0).unwrap_or(0),
@@ -573,39 +573,39 @@ fn first_of_equals<T>(all: Vec<T>, worth: impl Fn(&T) -> usize) -> Option<T> {
 }
 
 /// The laser with an azimuth offset near the given one that reproduces the most points to the last bit, and how many.
-fn polished(any: &Firings, laser: Laser, points: &[Point]) -> (Laser, usize) {
+fn polished(bare: &Firings, laser: Laser, points: &[Point]) -> (Laser, usize) {
     /// Steps to either side.
     const FARTHEST: i64 = 12;
     let steps = std::iter::once(0).chain((1..=FARTHEST).flat_map(|steps| [steps, -steps]));
     let tried = steps.map(|steps| Laser { azimuth: laser.azimuth + steps * AZIMUTH_STEP as i64, ..laser });
-    best_of(any, tried, points, laser)
+    best_of(bare, tried, points, laser)
 }
 
 /// The same, to the last bit of the offset in degrees. Points near the axes determine it, because sums of angles are
 /// small there.
-fn sharpest(any: &Firings, laser: Laser, points: &[Point], near_axes: &[Point]) -> (Laser, usize) {
+fn sharpest(bare: &Firings, laser: Laser, points: &[Point], near_axes: &[Point]) -> (Laser, usize) {
     /// Units to either side.
     const FARTHEST: f64 = 4.0 * AZIMUTH_STEP;
-    let (laser, exact) = polished(any, laser, points);
-    let step = (any.build.recipe.angle_step(laser.azimuth_degrees()) / ANGLE_UNIT).max(1.0);
+    let (laser, exact) = polished(bare, laser, points);
+    let step = (bare.build.recipe.angle_step(laser.azimuth_degrees()) / ANGLE_UNIT).max(1.0);
     let steps = (1..=(FARTHEST / step) as i32).flat_map(|steps| [steps, -steps]);
     let azimuths =
         std::iter::once(0).chain(steps).map(|steps| laser.azimuth + (f64::from(steps) * step) as i64);
-    let best = best_of(any, azimuths.map(|azimuth| Laser { azimuth, ..laser }), near_axes, laser).0;
-    let exact_so = exact_points(any, best, points, 0..3, exact);
+    let best = best_of(bare, azimuths.map(|azimuth| Laser { azimuth, ..laser }), near_axes, laser).0;
+    let exact_so = exact_points(bare, best, points, 0..3, exact);
     if exact_so >= exact { (best, exact_so) } else { (laser, exact) }
 }
 
 /// The laser that reproduces the most points to the last bit, the first one on ties, and how many; `none` if no laser
 /// reproduces any.
 pub(super) fn best_of(
-    any: &Firings,
+    bare: &Firings,
     lasers: impl Iterator<Item = Laser>,
     points: &[Point],
     none: Laser,
 ) -> (Laser, usize) {
     lasers.fold((none, 0), |best, laser| {
-        let exact = exact_points(any, laser, points, 0..3, best.1 + 1);
+        let exact = exact_points(bare, laser, points, 0..3, best.1 + 1);
         if exact > best.1 { (laser, exact) } else { best }
     })
 }
@@ -618,13 +618,13 @@ const SAME: usize = 12;
 /// Number of points of a laser that are reproduced to the last bit along these axes; 0 as soon as there are certainly
 /// fewer than `least`.
 pub(super) fn exact_points(
-    any: &Firings,
+    bare: &Firings,
     laser: Laser,
     points: &[Point],
     axes: std::ops::Range<usize>,
     least: usize,
 ) -> usize {
-    let scanner = any.of_laser(laser);
+    let scanner = bare.of_laser(laser);
     let is_exact = |point: &Point| {
         let Some((steps, tick)) = scanner.locate(0, point.position) else { return false };
         point.is_reproduced_by(&scanner, &Return { row: 0, column: 0, tick, steps, echo: 0 }, axes.clone())

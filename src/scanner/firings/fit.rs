@@ -251,7 +251,7 @@ impl Found<'_> {
         let (own, lines) = match grid {
             Some(grid) => {
                 let order = grid.order(&places, &sequence, ticks);
-                (Some(order), if grid.by_lines { grid.lines } else { Vec::new() })
+                (Some(order), if grid.shape.by_lines { grid.lines } else { Vec::new() })
             }
             None => self.order_and_lines(sequence, elevations.len(), ticks),
         };
@@ -496,10 +496,29 @@ const UNSEEN: f64 = 1e-3;
 pub(super) struct RecordGrid {
     /// The row of each line; of each slot if the file holds firing after firing.
     pub lines: Vec<u32>,
-    /// Whether the file holds row after row.
-    pub by_lines: bool,
+    pub shape: GridShape,
+}
+
+/// How the records of a file form a grid.
+#[derive(Clone, Copy)]
+pub(super) struct GridShape {
+    pub lines: usize,
     /// Number of firings.
     pub width: usize,
+    /// Whether the file holds row after row, not firing after firing.
+    pub by_lines: bool,
+}
+
+impl GridShape {
+    /// The line, or the slot, of a record.
+    pub fn line(&self, record: usize) -> usize {
+        if self.by_lines { record / self.width } else { record % self.lines }
+    }
+
+    /// The firing of a record.
+    pub fn column(&self, record: usize) -> usize {
+        if self.by_lines { record % self.width } else { record / self.lines }
+    }
 }
 
 impl RecordGrid {
@@ -513,23 +532,18 @@ impl RecordGrid {
         const FEWEST_COLUMNS: usize = 8;
         let whole = (rows..=MOST_LINES * rows).filter(|lines| records.is_multiple_of(*lines));
         let grids = whole.flat_map(|lines| [(lines, false), (lines, true)]);
-        let mut grids = grids.filter(|(lines, _)| records / lines >= FEWEST_COLUMNS);
+        let grids = grids.filter(|(lines, _)| records / lines >= FEWEST_COLUMNS);
         let least = if has_blanks { 0.95 } else { 0.999 };
-        grids.find_map(|(lines, by_lines)| Self::of(places, rows, (lines, records / lines), by_lines, least))
+        let shape = |(lines, by_lines)| GridShape { lines, width: records / lines, by_lines };
+        grids.map(shape).find_map(|shape| Self::of(places, rows, shape, least))
     }
 
-    /// The grid with these lines, if it puts at least the share `least` of the returns into the line of their row.
-    fn of(
-        places: &[(usize, usize)],
-        rows: usize,
-        (lines, width): (usize, usize),
-        by_lines: bool,
-        least: f64,
-    ) -> Option<Self> {
+    /// The grid of this shape, if it puts at least the share `least` of the returns into the line of their row.
+    fn of(places: &[(usize, usize)], rows: usize, shape: GridShape, least: f64) -> Option<Self> {
+        let lines = shape.lines;
         let mut counts = vec![0u32; lines * rows];
         for (record, row) in places {
-            let line = if by_lines { record / width } else { record % lines };
-            counts[line * rows + row] += 1;
+            counts[shape.line(*record) * rows + row] += 1;
         }
         let mut row_of_line = vec![None; lines];
         let (mut taken, mut inside) = (vec![false; rows], 0);
@@ -547,7 +561,7 @@ impl RecordGrid {
         let seen = (0u32..).zip(taken).filter(|(_, taken)| !taken).map(|(row, _)| row);
         let mut rest = seen.chain(rows as u32..);
         let lines = row_of_line.into_iter().map(|row| row.or_else(|| rest.next())).collect::<Option<_>>()?;
-        Some(RecordGrid { lines, by_lines, width })
+        Some(RecordGrid { lines, shape })
     }
 
     /// The order of the lasers, and the ticks by which each is ahead of the one with the most returns.
@@ -556,10 +570,11 @@ impl RecordGrid {
         let mut counts = vec![0u32; rows];
         places.iter().for_each(|(_, row)| counts[*row] += 1);
         let first = (0..rows).rev().max_by_key(|&row| counts[row]).unwrap_or(0);
-        let column = |record: usize| if self.by_lines { record % self.width } else { record / rows };
-        let mut tick_of_column = vec![None; self.width];
-        let found =
-            || places.iter().zip(sequence).map(|((record, row), (_, tick))| (column(*record), *row, *tick));
+        let mut tick_of_column = vec![None; self.shape.width];
+        let found = || {
+            let all = places.iter().zip(sequence);
+            all.map(|((record, row), (_, tick))| (self.shape.column(*record), *row, *tick))
+        };
         found()
             .filter(|(_, row, _)| *row == first)
             .for_each(|(column, _, tick)| tick_of_column[column] = Some(tick));

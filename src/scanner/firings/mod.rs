@@ -192,6 +192,11 @@ impl Firings {
         }
     }
 
+    /// A scanner without lasers, for which the fit looks.
+    fn without_lasers(build: Build) -> Self {
+        Firings::new(build, Vec::new(), Vec::new())
+    }
+
     /// This scanner for files that hold row after row, in this order: `rows_of_lines` must be a permutation of
     /// the rows, or empty for files that hold firing after firing.
     pub fn line_by_line(self, rows_of_lines: Vec<u32>) -> Self {

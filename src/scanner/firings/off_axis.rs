@@ -218,9 +218,9 @@ impl Found<'_> {
             timing: Timing::Together,
             mounting: None,
         };
-        let any = Firings::new(build.clone(), Vec::new(), Vec::new());
+        let bare = Firings::without_lasers(build.clone());
         let pairs = lasers.par_iter().zip(&rows);
-        let mut lasers: Vec<Laser> = pairs.map(|(lasers, row)| sharpened(&any, lasers, row)).collect();
+        let mut lasers: Vec<Laser> = pairs.map(|(lasers, row)| sharpened(&bare, lasers, row)).collect();
         lasers.sort_unstable_by_key(|laser| -laser.elevation);
         lasers.dedup_by_key(|laser| laser.elevation);
         let rows_of_slots = (0..lasers.len() as u32).collect();
@@ -339,7 +339,7 @@ impl Maker {
 }
 
 /// Of some lasers and their neighbours, the one that reproduces the most points to the last bit.
-fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
+fn sharpened(bare: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
     /// Number of points by which lasers are preselected.
     const FEW: usize = 12;
     let some = |most: usize| -> Vec<Point> {
@@ -352,7 +352,7 @@ fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
     };
     let mut best = (0, lasers[0]);
     for laser in lasers.iter().flat_map(|laser| (-1..=1).map(move |off| moved(laser, off, 0))) {
-        let exact = exact_points(any, laser, &few, 0..3, best.0 + 1);
+        let exact = exact_points(bare, laser, &few, 0..3, best.0 + 1);
         if exact > best.0 {
             best = (exact, laser);
         }
@@ -362,7 +362,7 @@ fn sharpened(any: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
     }
     let beside = (-2..=2).flat_map(|azimuth| (-1..=1).map(move |elevation| (azimuth, elevation)));
     let beside = beside.map(|(azimuth, elevation)| moved(&best.1, azimuth, elevation));
-    best_of(any, std::iter::once(best.1).chain(beside), &more, best.1).0
+    best_of(bare, std::iter::once(best.1).chain(beside), &more, best.1).0
 }
 
 /// The distance from the axis and the height at which the lines of the lasers cross, in metres; `None` if there are

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::constants::{Point, TRIED, best_of, exact_points};
-use super::fit::{Found, ON_CONE, RecordGrid, narrow_heaps, phase};
+use super::fit::{Found, GridShape, ON_CONE, RecordGrid, narrow_heaps, phase};
 use super::off_axis::{beam_line, line};
 use super::order::{lines, order};
 use super::projection::nearest;
@@ -66,12 +66,12 @@ impl Found<'_> {
     /// The scanner of this build with the lasers found for it, and how many of a sample of points it reproduces.
     fn ouster_of(&self, build: &Build, rows: &Rows, lines: &[Option<[f64; 2]>]) -> Option<(Firings, usize)> {
         let build = &Build { origin: sharpened_origin(build, &rows.points, lines), ..build.clone() };
-        let any = Firings::new(build.clone(), Vec::new(), Vec::new());
+        let bare = Firings::without_lasers(build.clone());
         let found: Vec<Option<(Laser, usize)>> = rows
             .points
             .par_iter()
             .zip(lines)
-            .map(|(points, line)| line.map(|[slope, _]| ouster_laser(&any, slope, points)))
+            .map(|(points, line)| line.map(|[slope, _]| ouster_laser(&bare, slope, points)))
             .collect();
         let exact = found.iter().flatten().map(|(_, exact)| exact).sum::<usize>();
         if exact == 0 {
@@ -87,7 +87,7 @@ impl Found<'_> {
         let mut lasers: Vec<(usize, Laser)> = lasers.enumerate().collect();
         lasers.sort_by_key(|(_, laser)| -laser.elevation);
         let (lines, lasers): (Vec<usize>, Vec<Laser>) = lasers.into_iter().unzip();
-        let scanner = Firings::new(any.build, lasers, (0..lines.len() as u32).collect());
+        let scanner = Firings::new(bare.build, lasers, (0..lines.len() as u32).collect());
         let scanner = match &rows.grid {
             Some(grid) => rows.in_order_of_image(scanner, grid, &lines),
             None => self.in_order_of_returns(scanner)?,
@@ -129,10 +129,10 @@ impl Found<'_> {
         let grids = LASERS.into_iter().filter(is_grid);
         let grids = grids.flat_map(|lines| [(lines, true), (lines, false)]);
         let mut found = grids.filter_map(|(lines, by_lines)| {
-            let width = records / lines;
+            let shape = GridShape { lines, width: records / lines, by_lines };
             let (mut points, mut of_points) = (vec![Vec::new(); lines], vec![Vec::new(); lines]);
             for (point, &record) in self.points.iter().zip(self.numbers.iter()) {
-                let line = if by_lines { record / width } else { record % lines };
+                let line = shape.line(record);
                 points[line].push(*point);
                 of_points[line].push(record);
             }
@@ -147,7 +147,7 @@ impl Found<'_> {
                     near += row.iter().filter(is_near).count();
                 }
             }
-            let grid = RecordGrid { lines: (0..lines as u32).collect(), by_lines, width };
+            let grid = RecordGrid { lines: (0..lines as u32).collect(), shape };
             (near as f64 > LEAST * all as f64).then_some(Rows {
                 points,
                 records: of_points,
@@ -218,12 +218,10 @@ impl Rows<'_> {
     /// laser in a column gives the lag of its row.
     fn in_order_of_image(&self, scanner: Firings, grid: &RecordGrid, lines: &[usize]) -> Firings {
         let ticks = scanner.build.ticks;
-        let column =
-            |record: usize| if grid.by_lines { record % grid.width } else { record / grid.lines.len() };
         let lag = |(row, &line): (usize, &usize)| {
             let lags = self.points[line].iter().zip(&self.records[line]).filter_map(|(point, record)| {
                 let (_, tick) = scanner.locate(row, point.position)?;
-                Some((column(*record) as u32 % ticks + ticks - tick) % ticks)
+                Some((grid.shape.column(*record) as u32 % ticks + ticks - tick) % ticks)
             });
             let mut lags: Vec<u32> = lags.collect();
             lags.sort_unstable();
@@ -237,7 +235,7 @@ impl Rows<'_> {
         let lags = if is_staggered { Vec::new() } else { lags.collect() };
         let mut row_of_line = vec![0u32; lines.len()];
         (0u32..).zip(lines).for_each(|(row, &line)| row_of_line[line] = row);
-        let by_lines = if grid.by_lines { row_of_line.clone() } else { Vec::new() };
+        let by_lines = if grid.shape.by_lines { row_of_line.clone() } else { Vec::new() };
         Firings::new(scanner.build, scanner.lasers, row_of_line).line_by_line(by_lines).lagging(lags)
     }
 }
@@ -360,8 +358,11 @@ fn sharpened_origin(build: &Build, rows: &[Vec<Point>], lines: &[Option<[f64; 2]
             .map(move |up| Origin { along_um: build.origin.along_um + along, up_um: build.origin.up_um + up })
     });
     let counted = origins.map(|origin| {
-        let any = Firings::new(Build { origin, ..build.clone() }, Vec::new(), Vec::new());
-        (few.iter().map(|(laser, points)| exact_points(&any, *laser, points, 2..3, 0)).sum::<usize>(), origin)
+        let bare = Firings::without_lasers(Build { origin, ..build.clone() });
+        (
+            few.iter().map(|(laser, points)| exact_points(&bare, *laser, points, 2..3, 0)).sum::<usize>(),
+            origin,
+        )
     });
     // The first one wins ties.
     counted.fold((0, build.origin), |best, next| if next.0 > best.0 { next } else { best }).1
@@ -373,7 +374,7 @@ fn rounded_elevation(slope: f64) -> f64 {
 }
 
 /// The laser with this slope that reproduces the most points, and how many of a sample.
-fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
+fn ouster_laser(bare: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
     /// In degrees: the largest azimuth offset of an Ouster's beam.
     const FARTHEST: f64 = 15.0;
     /// Number of points by which lasers are preselected.
@@ -386,9 +387,9 @@ fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
     let thousandth = (1e-3 / ANGLE_UNIT) as i64;
     let elevation = round_ties_even(rounded_elevation(slope).to_degrees() * 1e3) as i64 * thousandth;
     let Bearing { cos, sin, up, .. } =
-        Bearing::new(any.build.recipe, &Laser { elevation, azimuth: 0 }, any.build.origin);
-    let [along, _] = any.build.origin.metres();
-    let tick = 360.0 / f64::from(any.build.ticks);
+        Bearing::new(bare.build.recipe, &Laser { elevation, azimuth: 0 }, bare.build.origin);
+    let [along, _] = bare.build.origin.metres();
+    let tick = 360.0 / f64::from(bare.build.ticks);
     // The degrees by which whole ticks are missed with an azimuth offset.
     let missed = |offset: f64| {
         let (ahead, beside) =
@@ -404,7 +405,7 @@ fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
                 flat * libm::sin(offset.to_radians()),
                 flat * libm::cos(offset.to_radians()) + along,
             );
-            (any.build.recipe.azimuth(x, y) - turned).to_degrees() / tick
+            (bare.build.recipe.azimuth(x, y) - turned).to_degrees() / tick
         });
         phase(ticks).0 * tick
     };
@@ -414,7 +415,7 @@ fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
         (0..ROUNDS).for_each(|_| offset += missed(offset));
         let azimuth = round_ties_even(offset * 1e3) as i64 * thousandth;
         let laser = Laser { elevation, azimuth };
-        (exact_points(any, laser, &few, 0..3, 0), laser)
+        (exact_points(bare, laser, &few, 0..3, 0), laser)
     });
     let mut candidates: Vec<(usize, Laser)> = candidates.collect();
     candidates.sort_by_key(|(exact, laser)| (std::cmp::Reverse(*exact), laser.azimuth.abs()));
@@ -429,5 +430,5 @@ fn ouster_laser(any: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) {
         elevations
             .flat_map(move |elevation| around(laser.azimuth).map(|azimuth| Laser { elevation, azimuth }))
     });
-    best_of(any, near, &more, Laser { elevation, azimuth: 0 })
+    best_of(bare, near, &more, Laser { elevation, azimuth: 0 })
 }
