@@ -287,6 +287,26 @@ fn what_is_damaged_is_left_out_and_said_and_the_rest_is_taken() {
 }
 
 #[test]
+fn a_message_that_is_missing_is_told_by_the_statistics() {
+    // Without chunks and checksums, nothing else does.
+    let options = WriteOptions::new().use_chunks(false).calculate_data_section_crc(false);
+    let mut out = options.create(Cursor::new(Vec::new())).unwrap();
+    let words = out.add_channel(0, "/words", "", &BTreeMap::new()).unwrap();
+    for text in [&b"first"[..], b"second"] {
+        let header = MessageHeader { channel_id: words, sequence: 0, log_time: 0, publish_time: 0 };
+        out.write_to_known_channel(&header, text).unwrap();
+    }
+    out.finish().unwrap();
+    let mut recording = out.into_inner().into_inner();
+    assert_eq!(examine(&recording[..], true, 1, &|| ()).unwrap().damage, None);
+    let text = recording.windows(6).position(|bytes| bytes == b"second").unwrap();
+    // A record of an application's own, which may be left out.
+    recording[text - 22 - 9] = 200;
+    let damage = examine(&recording[..], true, 1, &|| ()).unwrap().damage.expect("a message is missing");
+    assert_eq!(damage, "of 2 messages that its statistics count, 1 are there");
+}
+
+#[test]
 fn a_damaged_cloud_is_left_out_and_those_after_it_are_taken() {
     let original = recording(None, true);
     let (small, copied) = packed(&original, &Settings::default(), &TopicFilter::default());

@@ -133,7 +133,14 @@ fn files_of_the_command_line_do_not_use_each_other_in_circles() {
             used.remove(&file);
         }
     }
-    assert!(uses.is_empty(), "files of src/cli use each other in circles: {uses:#?}");
+    // Each file that is left uses another that is left, so this path comes back to where it has been.
+    let mut path: Vec<_> = uses.keys().take(1).collect();
+    while let Some(next) = path.last().and_then(|file| uses[*file].first()) {
+        if let Some(start) = path.iter().position(|file| *file == next) {
+            panic!("files of src/cli use each other in a circle: {:?}", &path[start..]);
+        }
+        path.push(next);
+    }
 }
 
 #[test]

@@ -85,7 +85,7 @@ impl Report {
         Ok(())
     }
 
-    /// The report in a line. `config`: the settings, if clouds were encoded.
+    /// The report on a recording in a line. `config`: the settings, if clouds were encoded.
     fn summary(&self, config: Option<&EncoderConfig>) -> String {
         let (before, after) = (self.cloud_bytes_before, self.cloud_bytes_after);
         let sizes = match before {
@@ -107,6 +107,17 @@ impl Report {
             table::count(self.clouds, "cloud"),
             self.left_out(),
             if self.verified { ", verified" } else { "" },
+            self.seconds,
+        )
+    }
+
+    /// The report on a stream of the clouds alone in a line. `fidelity`: how accurately their points are restored.
+    fn summary_of_clouds(&self, fidelity: &str) -> String {
+        format!(
+            "{}: {}, the clouds alone, {fidelity}{} in {:.1} s",
+            table::count(self.clouds, "cloud"),
+            self.savings(),
+            self.left_out(),
             self.seconds,
         )
     }
@@ -233,16 +244,7 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
     ensure!(copied.clouds > 0, "{}: holds no cloud that can be encoded{because}", input.display());
     output.finish().map_err(|error| about(error, &name))?;
     let report = Report::of(args.output(), &copied, left_out, Some((config, false)), start);
-    report.print(args.json, quiet, |report| {
-        format!(
-            "{}: {}, the clouds alone, {}{} in {:.1} s",
-            table::count(report.clouds, "cloud"),
-            report.savings(),
-            fidelity(config, Some(&encoded)),
-            report.left_out(),
-            report.seconds,
-        )
-    })?;
+    report.print(args.json, quiet, |report| report.summary_of_clouds(&fidelity(config, Some(&encoded))))?;
     check_whole(input, damage)
 }
 
@@ -470,7 +472,8 @@ fn verify(input: &Path, output: &FileOutput, copied: &Copied, threads: usize) ->
     let same = recordings::same_messages(open(input).map_err(at)?, BufReader::new(restored)).map_err(at)?;
     ensure!(
         same == copied.messages,
-        "decodes to something else, so it does not get this name; please report this"
+        "{}: its copy decodes to something else, so it is not kept; please report this",
+        input.display()
     );
     Ok(())
 }

@@ -280,6 +280,9 @@ impl SectionCoder for SectionReader<'_> {
             return Err(ends_too_early(kind));
         }
         let counts = reader.into_counts();
+        if tables.lack_one(&counts) {
+            return Err(Error::corrupt("a token in a context without a table").within_section(kind));
+        }
         tables.learn(&counts);
         self.report.took_section(kind, start);
         Ok(decoded)

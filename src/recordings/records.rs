@@ -67,6 +67,8 @@ pub struct Records<R> {
     /// The schemas and channels so far, by their numbers.
     schemas: HashMap<u16, (SchemaHeader, Vec<u8>)>,
     channels: HashMap<u16, Channel>,
+    /// Number of messages so far.
+    messages: u64,
     has_ended: bool,
     /// What is wrong with the recording, as far as it has been read: all of it once there are no more records.
     pub faults: Faults,
@@ -89,7 +91,7 @@ impl<R: Read> Records<R> {
         };
         let (schemas, channels) = (HashMap::new(), HashMap::new());
         let faults = Faults::default();
-        Ok(Records { file, chunk: None, header, schemas, channels, has_ended: false, faults })
+        Ok(Records { file, chunk: None, header, schemas, channels, messages: 0, has_ended: false, faults })
     }
 
     /// The next record that can be read: of the current chunk, or if there is none, of the file.
@@ -146,6 +148,7 @@ impl<R: Read> Records<R> {
                     }
                     break;
                 }
+                op::STATISTICS => self.check_count(&record)?,
                 op::MESSAGE | op::CHUNK | op::ATTACHMENT | op::METADATA | FIRST_PRIVATE.. => {
                     return Err(Error::Usage("records after the end of its data were not taken".to_owned()));
                 }
@@ -156,6 +159,19 @@ impl<R: Read> Records<R> {
         read_whole(&mut self.file, &mut magic)?;
         if magic != mcap::MAGIC || self.file.read(&mut [0])? > 0 {
             return Err(Error::Usage("what follows its end was not taken".to_owned()));
+        }
+        Ok(())
+    }
+
+    /// Checks that no message is missing, of which nothing else tells in a recording without checksums.
+    ///
+    /// # Errors
+    /// If the record is damaged.
+    fn check_count(&mut self, statistics: &RawRecord) -> Result<()> {
+        let Record::Statistics(counts) = parsed(statistics)? else { return Ok(()) };
+        let (all, read) = (counts.message_count, self.messages);
+        if read < all && self.faults == Faults::default() {
+            self.faults.add(format!("of {all} messages that its statistics count, {read} are there"));
         }
         Ok(())
     }
@@ -202,7 +218,10 @@ impl<R: Read> Iterator for Records<R> {
         while !self.has_ended {
             match self.read() {
                 Ok(Some(record)) => match self.check(&record) {
-                    Ok(()) => return Some(record),
+                    Ok(()) => {
+                        self.messages += u64::from(matches!(record, Record::Message { .. }));
+                        return Some(record);
+                    }
                     Err(fault) => self.faults.add(fault),
                 },
                 Ok(None) => self.has_ended = true,

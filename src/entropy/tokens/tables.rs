@@ -177,6 +177,12 @@ impl TokenTables {
         }
     }
 
+    /// Whether a context of these tokens has no table: a reader has read nonsense there.
+    pub fn lack_one(&self, counts: &[Counts]) -> bool {
+        let contexts = self.contexts.iter().zip(counts);
+        contexts.filter(|(table, _)| table.frequencies.is_none()).any(|(_, counts)| *counts != [0; TOKENS])
+    }
+
     /// Learns from the tokens of a frame. Tables are recomputed after 1, 2, 4, 8 ... frames, as they would
     /// hardly differ in between, and only when the next frame needs them.
     pub fn learn(&mut self, counts: &[Counts]) {

@@ -35,6 +35,7 @@ proptest! {
             prop_assert_eq!(code(&mut reader, &frame), coded);
             prop_assert!(!reader.is_exhausted());
             let counts = reader.into_counts();
+            prop_assert!(!read.lack_one(&counts));
             read.learn(&counts);
         }
     }
@@ -71,6 +72,20 @@ fn a_payload_gives_no_tokens_without_end() {
         !reader.is_exhausted()
     });
     assert!(tokens.count() < 1 << 21);
+}
+
+#[test]
+fn a_token_without_a_table_is_noticed() {
+    let mut writer = TokenWriter::new(2);
+    writer.token(0, 7);
+    let payload = writer.finish(&mut TokenTables::default()).unwrap();
+    for context in 0..2 {
+        let mut tables = TokenTables::default();
+        let mut reader = TokenReader::new(&payload, 2, &mut tables).unwrap();
+        reader.token(context, 0);
+        let counts = reader.into_counts();
+        assert_eq!(tables.lack_one(&counts), context == 1);
+    }
 }
 
 #[test]
