@@ -58,7 +58,7 @@ pub fn examine(samples: &[Sample], layout: Option<&HeaderlessLayout>) -> Verdict
     let is_steady = |stride| steadiness(&kitti, stride, first(stride)) >= STEADY;
     if layout.is_none() && (first(assumed) > 0 || !is_steady(assumed)) {
         let mut lengths = WORDS.map(|words| words * WORD).filter(|&stride| fits(stride));
-        if let Some(stride) = lengths.find(|&stride| is_steady(stride)) {
+        if let Some(stride) = lengths.find(|&stride| is_steady(stride) && !are_several(&kitti, stride)) {
             return floats(&kitti, stride, first(stride)).map_or(Verdict::NoFloats, Verdict::Rather);
         }
     }
@@ -107,6 +107,26 @@ fn steadiness(samples: &[&Sample], stride: usize, first: usize) -> f64 {
         all += azimuths.len().max(sample.start.len() / stride / 4) as u32;
     }
     f64::from(near) / f64::from(all.max(1))
+}
+
+/// Whether records of `stride` bytes are several shorter ones, one after the other: then x or y is negative about as often
+/// in each. Such records may be steady although single ones are not, if lasers far apart take turns.
+fn are_several(samples: &[&Sample], stride: usize) -> bool {
+    /// Largest difference of the shares of negative values.
+    const ALIKE: f64 = 0.1;
+    let negative = |at: usize| {
+        let records = samples.iter().flat_map(|sample| sample.start.chunks_exact(stride));
+        let (count, found) = records.fold((0u32, 0u32), |(count, found), record| {
+            (count + 1, found + u32::from(f32_at(record, at) < 0.0))
+        });
+        f64::from(found) / f64::from(count.max(1))
+    };
+    WORDS.filter(|&words| words * WORD < stride && stride.is_multiple_of(words * WORD)).any(|words| {
+        [0, 1].into_iter().any(|at| {
+            let share = negative(at);
+            (ALIKE..1.0 - ALIKE).contains(&share) && (share - negative(at + words)).abs() < ALIKE
+        })
+    })
 }
 
 /// Whether the first value of each record hardly ever falls, if records have `stride` bytes and room for coordinates
@@ -182,6 +202,20 @@ mod tests {
         }
         assert_eq!(examine(&[file(4)], None), Verdict::Agrees);
         assert_eq!(examine(&[], None), Verdict::Agrees);
+    }
+
+    #[test]
+    fn lasers_far_apart_may_take_turns() {
+        // As of a scanner that lies on its side: x and y as seen are x and z, of two lasers in turn.
+        let record = |n: u32| {
+            let (sin, cos) = (n as f32 * 0.003).sin_cos();
+            let range = 10.0 + (n.wrapping_mul(2_654_435_761) >> 24) as f32 * 0.004;
+            [range * cos, if n % 2 == 0 { -range * 0.2 } else { range * 0.2 }, range * sin, 0.5]
+        };
+        let start: Vec<u8> = (0..2000).flat_map(record).flat_map(f32::to_le_bytes).collect();
+        let sample = Sample { name: "0.bin".to_owned(), size: start.len() as u64, start };
+        assert!(steadiness(&[&sample], 16, 0) < STEADY && steadiness(&[&sample], 32, 0) >= STEADY);
+        assert_eq!(examine(&[sample], None), Verdict::Agrees);
     }
 
     #[test]

@@ -400,9 +400,9 @@ mod tests {
         let scan = comes_back("a.npy", array("'<f4'", "False", "(4, 120)", &body));
         assert_eq!((scan.records, scan.cloud.positions[119]), (120, [119.0, 120.0, 121.0]));
         assert!(starts_as_scan_of_folder("a.npy", &array("'<f4'", "False", "(4, 120)", &body)));
-        let header = with_point_count(&array("'<f4'", "False", "(4, 120)", &[]), 30).unwrap();
-        let scan = comes_back("a.npy", [&header[..], &body[..4 * 4 * 30]].concat());
-        assert_eq!((scan.records, scan.suffix.len()), (30, 0));
+        let header = with_point_count(&array("'<f4'", "False", "(4, 120)", &[]), 110).unwrap();
+        let scan = comes_back("a.npy", [&header[..], &body[..4 * 4 * 110]].concat());
+        assert_eq!((scan.records, scan.suffix.len()), (110, 0));
         let scan = comes_back("a.npy", array("'<f4'", "True", "(4, 120)", &body));
         assert_eq!((scan.records, scan.cloud.positions[1]), (120, [4.0, 5.0, 6.0]));
         // An image, or matrices.

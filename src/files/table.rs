@@ -1,13 +1,13 @@
 //! Columns of numbers as text, with or without a line that names them: `.csv`, `.txt`, `.xyz`.
 
-use super::field::{Declared, FEWEST_COLUMNS, POSITION, names_coordinates, usual_names, with_underscores};
+use super::field::{
+    Declared, FEWEST_COLUMNS, MOST_FIELDS, POSITION, names_coordinates, usual_names, with_underscores,
+};
 use super::text_records::{self, first_line};
 use crate::scan::{Scalar, ScanFile, TextFormat};
 
 /// Largest number of bytes before the first line of numbers.
 const MOST_BEFORE: usize = 64 << 10;
-/// Wider tables are not points.
-const MOST_COLUMNS: usize = 4096;
 
 /// Where the numbers of a file begin, and the names of their columns.
 pub(super) struct Table {
@@ -24,7 +24,7 @@ impl Table {
         let (mut start, mut header) = (0, None);
         while let Some(line) = first_line(bytes.get(start..)?).filter(|_| start < MOST_BEFORE) {
             let format = TextFormat::of_line(line);
-            let is_table = |count: &usize| (FEWEST_COLUMNS..=MOST_COLUMNS).contains(count);
+            let is_table = |count: &usize| (FEWEST_COLUMNS..=MOST_FIELDS).contains(count);
             if let Some(columns) = format.count_numbers(line).filter(is_table) {
                 let given = header.map(|line| names_in(line, &format)).filter(|names| names.len() == columns);
                 let is_named = given.is_some();
@@ -75,9 +75,9 @@ impl Table {
 /// Whether the first line of a file names coordinates between commas, semicolons or tabs: its lines may hold other than
 /// numbers then, such as labels in words, but each is a point.
 pub(super) fn starts_with_names(bytes: &[u8]) -> bool {
-    let names =
-        first_line(bytes).map(|line| line.trim().split([',', ';', '\t']).map(name_in).collect::<Vec<_>>());
-    names.is_some_and(|names| names_coordinates(names.iter().map(String::as_str)))
+    let Some(line) = first_line(bytes).filter(|line| line.len() < bytes.len()) else { return false };
+    let names: Vec<String> = line.trim().split([',', ';', '\t']).map(name_in).collect();
+    names_coordinates(names.iter().map(String::as_str))
 }
 
 /// Parses a file. `None` if it has no lines of numbers, or if they would not be restored exactly.
@@ -230,8 +230,8 @@ mod tests {
         }
         let late = [vec![b'x'; MOST_BEFORE + 1], b"\n1 2 3\n".to_vec()].concat();
         assert!(comes_back("a.csv", late).is_opaque());
-        assert!(comes_back("a.csv", b"1 ".repeat(MOST_COLUMNS + 1)).is_opaque());
-        assert!(!comes_back("a.csv", b"1 ".repeat(MOST_COLUMNS)).is_opaque());
+        assert!(comes_back("a.csv", b"1 ".repeat(MOST_FIELDS + 1)).is_opaque());
+        assert!(!comes_back("a.csv", b"1 ".repeat(MOST_FIELDS)).is_opaque());
         assert!(comes_back("a.csv", vec![0xff; 100]).is_opaque());
     }
 
