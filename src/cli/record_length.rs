@@ -210,7 +210,7 @@ mod tests {
         let record = |n: u32| {
             let (sin, cos) = (n as f32 * 0.003).sin_cos();
             let range = 10.0 + (n.wrapping_mul(2_654_435_761) >> 24) as f32 * 0.004;
-            [range * cos, if n % 2 == 0 { -range * 0.2 } else { range * 0.2 }, range * sin, 0.5]
+            [range * cos, if n.is_multiple_of(2) { -range * 0.2 } else { range * 0.2 }, range * sin, 0.5]
         };
         let start: Vec<u8> = (0..2000).flat_map(record).flat_map(f32::to_le_bytes).collect();
         let sample = Sample { name: "0.bin".to_owned(), size: start.len() as u64, start };
