@@ -109,6 +109,11 @@ fn encode_each(
 fn print(done: &[DriveReport], complete: usize, is_verbose: bool, start: Instant) {
     /// The largest number of drives whose lines are printed unasked.
     const FEW: usize = 20;
+    if done.is_empty() && complete > 0 {
+        let drives = table::count(complete as u64, "drive");
+        eprintln!("{drives}: already complete, from these files with these settings");
+        return;
+    }
     for DriveReport { stream, line } in done.iter().filter(|_| done.len() <= FEW || is_verbose) {
         eprintln!("{}: {line}", stream.file);
     }
