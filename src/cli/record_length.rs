@@ -109,24 +109,24 @@ fn steadiness(samples: &[&Sample], stride: usize, first: usize) -> f64 {
     f64::from(near) / f64::from(all.max(1))
 }
 
-/// Whether records of `stride` bytes are several shorter ones, one after the other: then x or y is negative about as often
-/// in each. Such records may be steady although single ones are not, if lasers far apart take turns.
+/// Whether records of `stride` bytes are several shorter ones, one after the other: then x, y and z are about as large in
+/// each. Such records may be steady although single ones are not, if lasers far apart take turns.
 fn are_several(samples: &[&Sample], stride: usize) -> bool {
-    /// Largest difference of the shares of negative values.
-    const ALIKE: f64 = 0.1;
-    let negative = |at: usize| {
+    /// Largest factor between medians.
+    const ALIKE: f32 = 4.0;
+    let size = |at: usize| {
         let records = samples.iter().flat_map(|sample| sample.start.chunks_exact(stride));
-        let (count, found) = records.fold((0u32, 0u32), |(count, found), record| {
-            (count + 1, found + u32::from(f32_at(record, at) < 0.0))
-        });
-        f64::from(found) / f64::from(count.max(1))
+        let mut sizes: Vec<f32> = records.map(|record| f32_at(record, at).abs()).collect();
+        sizes.sort_unstable_by(f32::total_cmp);
+        sizes.get(sizes.len() / 2).copied().unwrap_or(0.0)
     };
-    WORDS.filter(|&words| words * WORD < stride && stride.is_multiple_of(words * WORD)).any(|words| {
-        [0, 1].into_iter().any(|at| {
-            let share = negative(at);
-            (ALIKE..1.0 - ALIKE).contains(&share) && (share - negative(at + words)).abs() < ALIKE
-        })
-    })
+    let are_alike = |at: usize, words: usize| {
+        let [one, other] = [at, at + words].map(size);
+        one > 0.0 && (one / ALIKE..=one * ALIKE).contains(&other)
+    };
+    WORDS
+        .filter(|&words| words * WORD < stride && stride.is_multiple_of(words * WORD))
+        .any(|words| (0..3).all(|at| are_alike(at, words)))
 }
 
 /// Whether the first value of each record hardly ever falls, if records have `stride` bytes and room for coordinates
