@@ -164,7 +164,7 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
     }
     fs::write(bench.path("out/a/drive_1.lpc"), &good).unwrap();
     let said = bench.says("encode tree -o out --all --resume");
-    assert_eq!(said, "2 drives: already complete, from these files with these settings\n");
+    assert!(said.ends_with("2 drives: already complete, from these files with these settings\n"), "{said}");
     let said = bench.command("encode tree -o out --all --resume --level 1").output().unwrap();
     assert_eq!(said.status.code(), Some(1), "other settings");
     let said = bench.command("encode tree -o out --all").output().unwrap();
