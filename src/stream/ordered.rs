@@ -21,9 +21,9 @@ enum Event<J, T> {
     Done(usize, Result<T>),
 }
 
-/// Calls `work` for each job on `threads` threads (0: one for each processor) and passes the results to `sink` in the order of the jobs,
-/// each as soon as it and those before are available. Jobs are drawn on a separate thread, which may wait for
-/// its input; results are passed on the calling thread. At most `threads + 1` jobs are drawn, running or waiting
+/// Calls `work` for each job on `threads` threads (0: one for each processor) and passes the results to `sink` in
+/// the order of the jobs, each as soon as it and those before are available. Jobs are drawn on a separate thread,
+/// which may wait for its input; results are passed on the calling thread. At most `threads + 1` jobs are drawn, running or waiting
 /// at a time, so that memory does not grow with their number. After an error, this returns only when the job that
 /// is being drawn has arrived.
 ///

@@ -68,7 +68,7 @@ pub struct Expected<const N: usize> {
 /// Number of contexts of what is known of a coordinate.
 pub const DETAILS: usize = 64;
 
-/// The class of a number by its size: `smallest`, a power of two, and less is class 0, twice as much class 1, and so on.
+/// The class of a number by its size: below 2^(`smallest` + 1) it is class 0, below twice that class 1, and so on.
 fn size_class(value: f64, smallest: i32, classes: i32) -> usize {
     (exponent(value) - smallest).clamp(0, classes - 1) as usize
 }
