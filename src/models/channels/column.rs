@@ -187,6 +187,7 @@ fn code_by_rule<C: BitCoder>(
         .iter()
         .enumerate()
         .map(|(record, integer)| integer.map(|integer| (places.site(record), integer)));
+    model.code_phase(coder, rule, known.clone());
     let (doubts, learned) = model.code_doubts(coder, rule, known);
     // If the rule is right for all integers, nothing else is coded.
     if let Some(learned) = learned.filter(|_| doubts.is_empty() && !has_exceptions) {

@@ -18,7 +18,8 @@ pub enum Rule {
     /// directions rather than firings.
     Tick,
     /// A constant of its beam, a different one in each of this number of columns in turn, plus a base that changes
-    /// seldom: the time of a packet, and that of a firing in it.
+    /// seldom: the time of a packet, and that of a firing in it. Frames start anywhere in a packet; see
+    /// [`RuleModel::code_phase`].
     Turn(u8),
 }
 
@@ -43,6 +44,11 @@ impl Rule {
             Some(Rule::Tick) => TICK,
             Some(Rule::Turn(columns)) => TICK + columns,
         }
+    }
+
+    /// The number of columns with constants of their own.
+    fn columns(self) -> u32 {
+        if let Rule::Turn(columns) = self { u32::from(columns).max(1) } else { 1 }
     }
 
     /// The rule with this number, if any.
@@ -94,7 +100,9 @@ impl Doubts {
 /// to 0.
 #[derive(Clone, Default)]
 pub struct RuleState {
-    /// By hash of the key and of the column's number among those in turn: the integer minus its base.
+    /// The number among the columns in turn that column 0 of the frame has.
+    phase: u32,
+    /// By key and by the column's number among those in turn, see [`entry`]: the integer minus its base.
     offsets: Vec<Option<i64>>,
     /// By hash of the key and the last integer: the integer that followed.
     after: Vec<Option<i64>>,
@@ -134,6 +142,20 @@ impl RuleModel {
     /// Allocates the tables of a rule, before its first integer.
     pub fn prepare(&mut self, rule: Rule) {
         self.state.prepare(rule);
+    }
+
+    /// Codes which of the columns in turn a frame starts with. The encoder passes its integers, each with the site of
+    /// its record.
+    pub fn code_phase<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        rule: Rule,
+        known: impl Iterator<Item = Option<(Site, i64)>>,
+    ) {
+        if rule.columns() > 1 {
+            let phase = if C::ENCODES { self.state.likely_phase(rule, known) } else { 0 };
+            self.state.phase = coder.code_plain(phase.into(), 8) as u32;
+        }
     }
 
     /// Codes for which of the next integers the rule may be wrong. The encoder passes these integers, each with the
@@ -221,13 +243,30 @@ impl RuleState {
         value == expected.integer
     }
 
+    /// The phase with which the base changes least often in a frame, given the offsets of earlier frames.
+    fn likely_phase(&self, rule: Rule, known: impl Iterator<Item = Option<(Site, i64)>>) -> u32 {
+        /// The number of records that are examined: of a few packets.
+        const SAMPLE: usize = 1024;
+        let known: Vec<(Site, i64)> = known.flatten().take(SAMPLE).collect();
+        let changes = |&phase: &u32| {
+            let bases = known.iter().filter_map(|(site, integer)| {
+                let column = site.column.wrapping_add(phase) % rule.columns();
+                let offset = self.offsets[entry(rule, site.key, column)]?;
+                Some(integer.wrapping_sub(site.geometry.unwrap_or(0)).wrapping_sub(offset))
+            });
+            let mut last = None;
+            bases.filter(|&base| last.replace(base) != Some(base)).count()
+        };
+        (0..rule.columns()).min_by_key(changes).unwrap_or(0)
+    }
+
     #[inline(always)]
     fn expected(&mut self, rule: Rule, site: &Site) -> Expected {
         let phase = match rule {
-            Rule::Turn(columns) => site.column % u32::from(columns.max(1)),
+            Rule::Turn(_) => site.column.wrapping_add(self.phase) % rule.columns(),
             _ => 0,
         };
-        let offset = slot(site.key.into(), phase.into());
+        let offset = entry(rule, site.key, phase);
         let mut expected = Expected {
             integer: 0,
             offset,
@@ -305,4 +344,11 @@ impl RuleState {
         }
         self.base = base;
     }
+}
+
+/// The index of an offset: dense as long as keys are small, otherwise a hash.
+#[inline(always)]
+fn entry(rule: Rule, key: u32, phase: u32) -> usize {
+    let entry = key as usize * rule.columns() as usize + phase as usize;
+    if entry < ENTRIES { entry } else { slot(key.into(), phase.into()) }
 }
