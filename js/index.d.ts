@@ -89,7 +89,7 @@ export interface FrameInfo {
   /** The first being 0. */
   readonly number: number;
   /** What it was. */
-  readonly unit: "file" | "message" | "points";
+  readonly kind: "file" | "message" | "points";
   /** Which of several scanners that take turns it is of; the first is 0. */
   readonly track: number;
   /** When it was taken: nanoseconds since 1970. */
@@ -113,7 +113,7 @@ export interface Frame {
   readonly number: number;
   /** Empty if it has none. It may be any: check it before use as a path. */
   readonly name: string;
-  readonly unit: "file" | "message" | "points";
+  readonly kind: "file" | "message" | "points";
   readonly track: number;
   /** When it was taken: nanoseconds since 1970. */
   readonly time: bigint | null;

@@ -263,7 +263,7 @@ function timeOf(time) {
 }
 
 /** A frame of what the module says, and copies of its arrays. */
-function frameOf({ number, name, unit, track, time, points, positions, fields, image, file }, copy) {
+function frameOf({ number, name, kind, track, time, points, positions, fields, image, file }, copy) {
   const named = Object.create(null);
   const counts = Object.create(null);
   for (const field of fields) {
@@ -273,7 +273,7 @@ function frameOf({ number, name, unit, track, time, points, positions, fields, i
   return {
     number,
     name,
-    unit,
+    kind,
     track,
     time: timeOf(time),
     length: points,

@@ -97,7 +97,7 @@ mod python;
 #[cfg(feature = "wasm")]
 mod wasm;
 
-pub use container::{SectionKind, Unit};
+pub use container::{FrameKind, SectionKind};
 pub use ground::error::{Error, Limits, Result};
 pub use library::{
     ChannelInfo, Decoder, Encoder, FrameDetails, FrameInfo, MessageEncoder, RangeImage, Scalar, Scan, Scans,

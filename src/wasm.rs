@@ -138,7 +138,7 @@ struct Opened {
 #[serde(rename_all = "camelCase")]
 struct IndexedFrame {
     number: u64,
-    unit: &'static str,
+    kind: &'static str,
     track: u8,
     /// Nanoseconds since 1970. As text, because JavaScript's numbers have 53 bits.
     time: Option<String>,
@@ -174,7 +174,7 @@ impl Array {
 struct DecodedFrame<'s> {
     number: u64,
     name: &'s str,
-    unit: &'static str,
+    kind: &'static str,
     track: u8,
     /// As in [`IndexedFrame`].
     time: Option<String>,
@@ -232,7 +232,7 @@ impl Module {
         let decoder = Decoder::open(self.input.clone())?.with_range_images(range_images);
         let frames = decoder.frames().map(|frame| IndexedFrame {
             number: frame.number,
-            unit: frame.unit.name(),
+            kind: frame.kind.name(),
             track: frame.track,
             time: frame.time.map(|time| time.to_string()),
             coded_bytes: frame.coded_bytes,
@@ -275,7 +275,7 @@ impl Module {
         let frame = DecodedFrame {
             number,
             name: scan.name(),
-            unit: scan.unit().name(),
+            kind: scan.kind().name(),
             track: scan.track(),
             time: scan.time().map(|time| time.to_string()),
             points: scan.len(),

@@ -22,7 +22,7 @@ use crate::common::{
 };
 use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::backend::{BACKENDS, LZMA};
-use lidarpc::internals::container::{Stamp, StreamHeader, Time, TimeSource, Unit};
+use lidarpc::internals::container::{FrameKind, Stamp, StreamHeader, Time, TimeSource};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
 use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction};
 use lidarpc::internals::scanner::{RangeImage, firings};
@@ -194,7 +194,7 @@ fn turns() -> Vec<u8> {
         let (track, turn) = (number % 2, number / 2);
         let time =
             Time { source: TimeSource::Recording, nanoseconds: 1_316_998_000_000_000_000 + number as i64 };
-        let stamp = Stamp { unit: Unit::Message, track: track as u8, time: Some(time) };
+        let stamp = Stamp { kind: FrameKind::Message, track: track as u8, time: Some(time) };
         FrameInput::memory(format!("{track}-{turn}.bin"), kitti(&scans[track][turn])).stamped(stamp)
     };
     let mut stream = Vec::new();
@@ -207,7 +207,7 @@ fn turns() -> Vec<u8> {
 fn tree() -> Vec<u8> {
     let scan = |seed| kitti(&scans(&small(seed, 1))[0]);
     let frame = |drive: usize, name: &str, bytes| FrameInput::memory(name.to_owned(), bytes).of_drive(drive);
-    let beside = Stamp { unit: Unit::Beside, ..Stamp::default() };
+    let beside = Stamp { kind: FrameKind::Beside, ..Stamp::default() };
     let noise: Vec<u8> =
         random_points(20, 3).as_flattened().iter().flat_map(|value| value.to_le_bytes()).collect();
     let frames = [

@@ -10,7 +10,7 @@ use crate::common::scans::{random_points, scans, small};
 use crate::common::streams::with_back_end;
 use crate::common::{File as Scan, encode_files, put_together, take_apart};
 use lidarpc::internals::backend;
-use lidarpc::internals::container::{Stamp, Unit};
+use lidarpc::internals::container::{FrameKind, Stamp};
 use lidarpc::internals::edit::{PartialFiles, encode_resuming};
 use lidarpc::internals::frame::settings::{EncoderConfig, Mode};
 use lidarpc::internals::ground::error::Result;
@@ -48,8 +48,8 @@ fn inputs(files: &[Scan]) -> Vec<FrameInput> {
     folders.dedup();
     let input = |(name, bytes): &Scan| {
         let drive = folders.iter().position(|known| *known == folder(name)).unwrap();
-        let unit = if name.starts_with("beside/") { Unit::Beside } else { Unit::File };
-        let stamp = Stamp { unit, ..Stamp::default() };
+        let kind = if name.starts_with("beside/") { FrameKind::Beside } else { FrameKind::File };
+        let stamp = Stamp { kind, ..Stamp::default() };
         FrameInput::memory(name.clone(), bytes.clone()).stamped(stamp).of_drive(drive)
     };
     files.iter().map(input).collect()

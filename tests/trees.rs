@@ -123,8 +123,8 @@ fn groups_and_scanners_are_of_one_drive() {
         info["groups"].as_array().unwrap().iter().map(|group| group["frames"].as_u64().unwrap()).collect();
     assert_eq!(groups, [5, 5, 2, 5, 5, 2, 5, 5, 2]);
     let frames = info["frames"].as_array().unwrap();
-    assert!(frames[..24].iter().all(|frame| frame["unit"] == "file"));
-    assert!(frames[24..].iter().all(|frame| frame["unit"] == "file beside the scans"));
+    assert!(frames[..24].iter().all(|frame| frame["kind"] == "file"));
+    assert!(frames[24..].iter().all(|frame| frame["kind"] == "file beside the scans"));
     // A range of frames has no files beside them.
     for command in ["cut tree.lpc --frames 3..9 -o part.lpc", "decode tree.lpc --frames 3..9 -o part"] {
         let said = bench.says(command);
@@ -375,17 +375,17 @@ fn a_file_that_no_decoder_takes_is_left_out_and_said() {
 #[test]
 fn names_never_leave_the_folder() {
     use lidarpc::internals::container::{
-        CodedFrame, FrameHeader, Group, Section, SectionKind, Stamp, StreamWriter, Unit,
+        CodedFrame, FrameHeader, FrameKind, Group, Section, SectionKind, Stamp, StreamWriter,
     };
 
     let bench = Bench::new();
     for name in ["../x", "/tmp/x", "a/../../x", "a//b", "./a", "a\\..\\x", "a/", "NUL/a"] {
-        for unit in [Unit::File, Unit::Beside] {
-            if unit == Unit::Beside && name == "a/" {
+        for kind in [FrameKind::File, FrameKind::Beside] {
+            if kind == FrameKind::Beside && name == "a/" {
                 continue;
             }
             let mut stream = StreamWriter::create(Vec::new()).unwrap();
-            let stamp = Stamp { unit, ..Stamp::default() };
+            let stamp = Stamp { kind, ..Stamp::default() };
             let header = FrameHeader { stamp, ..FrameHeader::of(name, b"x", 0) };
             // Stored: no layout, no bytes before the records, one byte.
             let whole = Section { kind: SectionKind::Bytes, payload: vec![0, 0, 0, 1, b'x'] };

@@ -74,9 +74,9 @@ test("from memory, a blob, an object", async () => {
 
 test("a frame's arrays are those of its file", async () => {
   const drive = await open(bytes, { rangeImages: true });
-  const { number, name, unit, track, time, length, positions, fields, counts, rangeImage, file } = await drive.frame(1);
-  assert.deepEqual({ number, name, unit, track, time, file }, {
-    number: 1, name: "0000000001.bin", unit: "file", track: 0, time: null, file: null,
+  const { number, name, kind, track, time, length, positions, fields, counts, rangeImage, file } = await drive.frame(1);
+  assert.deepEqual({ number, name, kind, track, time, file }, {
+    number: 1, name: "0000000001.bin", kind: "file", track: 0, time: null, file: null,
   });
   const values = new Float32Array(Uint8Array.from(original(1)).buffer);
   assert.equal(length, values.length / 4);
@@ -107,7 +107,7 @@ test("what the stream says of frames and scanners", async () => {
   assert.equal(drive.byteLength, bytes.length);
   assert.deepEqual(drive.groupOf(4), { start: 4, end: 5 });
   const { number, codedBytes, ...rest } = drive.frames[4];
-  assert.deepEqual({ number, ...rest }, { number: 4, unit: "file", track: 0, time: null });
+  assert.deepEqual({ number, ...rest }, { number: 4, kind: "file", track: 0, time: null });
   assert.ok(codedBytes > 1000 && codedBytes < bytes.length / 4);
   const details = await drive.details(3, 5);
   assert.deepEqual(details.map(({ number, name, bytes }) => [number, name, bytes]), [

@@ -7,7 +7,7 @@ use crate::article::prediction::intra::RegionModels;
 use crate::backend::{self, Level, Packing};
 use crate::files::HeaderlessLayout;
 use crate::frame::settings::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
-use crate::frame::{Intensity, Prediction};
+use crate::frame::{Intensity, MOST_INTENSITY_STEP_MILLIONTHS, Prediction};
 use crate::ground::error::{Error, Result};
 use crate::inter::registration::RegistrationMethod;
 use crate::scanner::FLOAT_RANGES;
@@ -278,7 +278,7 @@ impl FromStr for IntensityStep {
     fn from_str(text: &str) -> std::result::Result<Self, String> {
         let wrong = |_| format!("'{text}' is not a number");
         let millionths = (text.parse::<f64>().map_err(wrong)? * 1e6).round();
-        if !(1.0..=1e9).contains(&millionths) {
+        if !(1.0..=f64::from(MOST_INTENSITY_STEP_MILLIONTHS)).contains(&millionths) {
             return Err(format!("'{text}' is not from 0.000001 to 1000"));
         }
         Ok(IntensityStep(millionths as u32))

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
-use crate::container::Unit;
+use crate::container::FrameKind;
 use crate::files::{FileFormat, Give, convert, is_convertible};
 use crate::ground::error::{Error, Result};
 use crate::scan::ScanFile;
@@ -89,11 +89,11 @@ impl Converter {
 
     /// The format to which a frame is converted, if any.
     fn format_of(&self, frame: &DecodedFrame) -> Option<FileFormat> {
-        match frame.header.stamp.unit {
-            Unit::Beside => None,
+        match frame.header.stamp.kind {
+            FrameKind::Beside => None,
             // Points in memory are converted to a format that names their channels.
-            Unit::Points => self.format.or(Some(FileFormat::Pcd)),
-            Unit::File | Unit::Message => self.format,
+            FrameKind::Points => self.format.or(Some(FileFormat::Pcd)),
+            FrameKind::File | FrameKind::Message => self.format,
         }
     }
 

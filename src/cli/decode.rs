@@ -4,7 +4,7 @@ use std::io::{self, BufReader, Write};
 use std::path::Path;
 use std::time::Instant;
 
-use crate::container::Unit;
+use crate::container::FrameKind;
 use crate::edit::{self, Recovered};
 use crate::ground::error::{Error, Limits};
 use crate::stream::{DecodeOptions, DecodedFrame};
@@ -84,7 +84,7 @@ fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, 
         let mut losses = Losses::new(path, options.frames);
         let mut files = 0;
         let write = |frame: DecodedFrame| {
-            let is_beside = frame.header.stamp.unit == Unit::Beside;
+            let is_beside = frame.header.stamp.kind == FrameKind::Beside;
             let file = converter.file(frame)?;
             Ok((folder.write(file.name(), |give| file.write(give))?, is_beside))
         };

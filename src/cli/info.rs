@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Read, Write};
 
-use crate::container::{Index, Record, ScannerId, Stamp, StreamReader, Unit};
+use crate::container::{FrameKind, Index, Record, ScannerId, Stamp, StreamReader};
 use crate::frame::FrameParameters;
 use crate::ground::error::{Error, Limits};
 use crate::stream::source::StoredScanner;
@@ -58,7 +58,7 @@ struct GroupInfo {
 struct FrameInfo {
     number: u64,
     name: String,
-    unit: &'static str,
+    kind: &'static str,
     /// Index of its track in the group.
     track: u8,
     /// Nanoseconds since 1970.
@@ -165,11 +165,11 @@ impl Info {
                 let Some(entry) = index.groups.last() else { return Ok(()) };
                 let mut frames = Vec::new();
                 for ((number, frame), entry) in (entry.first_frame..).zip(group.frames).zip(&entry.frames) {
-                    let Stamp { unit, track, time } = entry.stamp;
+                    let Stamp { kind, track, time } = entry.stamp;
                     frames.push(FrameInfo {
                         coding: FrameParameters::of(&frame)?.to_string(),
                         number,
-                        unit: unit.name(),
+                        kind: kind.name(),
                         track,
                         time: time.map(|time| time.nanoseconds),
                         time_source: time.map(|time| time.source.name()),
@@ -199,7 +199,7 @@ impl Info {
 fn print(info: &Info, out: &mut impl Write) -> io::Result<()> {
     let scanners = table::count(info.scanners.len() as u64, "scanner");
     let groups = info.groups.len() as u64;
-    let beside = info.frames.iter().filter(|frame| frame.unit == Unit::Beside.name()).count() as u64;
+    let beside = info.frames.iter().filter(|frame| frame.kind == FrameKind::Beside.name()).count() as u64;
     let frames = info.frames.len() as u64 - beside;
     writeln!(out, "format version {}, {scanners}", info.version)?;
     for (number, scanner) in (1..).zip(&info.scanners) {

@@ -1,7 +1,7 @@
 //! What several commands report: how accurately points are restored, what is left out of the inputs, and how small the
 //! output is.
 
-use crate::container::Unit;
+use crate::container::FrameKind;
 use crate::files::sequence::LeftOut;
 use crate::frame::{EncoderConfig, Intensity, Positions};
 use crate::stream::Encoded;
@@ -48,7 +48,7 @@ fn scans(encoded: &Encoded) -> u64 {
 
 /// The names of files in which no points were recognised, and which are therefore stored as bytes.
 fn plain_files(encoded: &Encoded) -> impl Iterator<Item = &str> {
-    let frames = encoded.frames.iter().filter(|frame| frame.stamp.unit != Unit::Beside);
+    let frames = encoded.frames.iter().filter(|frame| frame.stamp.kind != FrameKind::Beside);
     frames.filter(|frame| frame.point_count == 0 && frame.file_size > 0).map(|frame| &frame.name[..])
 }
 

@@ -8,7 +8,7 @@ mod steps;
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Seek, Write};
 
-use crate::container::{Record, SectionKind, StreamReader, Unit};
+use crate::container::{FrameKind, Record, SectionKind, StreamReader};
 use crate::frame::{FrameParameters, Source};
 use crate::ground::error::Limits;
 use crate::study::metrics;
@@ -111,8 +111,8 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
             Record::Group(group) => {
                 scanners.sample(frames + files_beside, &group, &limits)?;
                 for frame in &group.frames {
-                    match frame.header.stamp.unit {
-                        Unit::Beside => files_beside += 1,
+                    match frame.header.stamp.kind {
+                        FrameKind::Beside => files_beside += 1,
                         _ => {
                             frames += 1;
                             *fidelity.entry(FrameParameters::of(frame)?.fidelity()).or_default() += 1;

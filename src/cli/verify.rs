@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-use crate::container::{FrameHeader, Unit};
+use crate::container::{FrameHeader, FrameKind};
 use crate::ground::error::Error;
 use crate::ground::lanes::keep_to_plain_code;
 use crate::stream::{DecodeOptions, DecodedFrame};
@@ -118,7 +118,7 @@ fn verify(
     let compared = originals.as_mut().map(Mutex::new);
     let check = |frame: DecodedFrame| {
         let DecodedFrame { number, header: FrameHeader { name, file_size, stamp, .. }, .. } = &frame;
-        let counted = (*file_size, stamp.unit == Unit::Beside);
+        let counted = (*file_size, stamp.kind == FrameKind::Beside);
         let Some(originals) = &compared else { return frame.write(|_| Ok(())).map(|()| counted) };
         let original = originals.lock().unwrap_or_else(PoisonError::into_inner).take(name)?;
         if original != frame.to_bytes()? {

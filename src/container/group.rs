@@ -3,7 +3,7 @@
 use super::index::FrameEntry;
 use super::scanner::ScannerId;
 use super::section::Section;
-use super::stamp::{Stamp, Unit};
+use super::stamp::{FrameKind, Stamp};
 use super::wire::{take, take_u32};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -21,7 +21,7 @@ pub struct FrameHeader {
     /// The file's name, possibly a path with `/` as separator. It comes from the stream: check it before use
     /// as a path.
     pub name: String,
-    /// Unit, track and time.
+    /// Kind, track and time.
     pub stamp: Stamp,
     /// Bytes of the decoded file.
     pub file_size: u64,
@@ -169,7 +169,7 @@ impl Group {
 
     /// Whether the group holds files beside the scans.
     pub fn is_beside(&self) -> bool {
-        self.frames.first().is_some_and(|frame| frame.header.stamp.unit == Unit::Beside)
+        self.frames.first().is_some_and(|frame| frame.header.stamp.kind == FrameKind::Beside)
     }
 
     /// The names of the frames in the payload of a damaged group record, as far as they can be read. They
@@ -209,7 +209,7 @@ impl Group {
             }
             if entries
                 .first()
-                .is_some_and(|first: &FrameEntry| first.is_beside() != (stamp.unit == Unit::Beside))
+                .is_some_and(|first: &FrameEntry| first.is_beside() != (stamp.kind == FrameKind::Beside))
             {
                 let what = "a file beside the scans, in a group with scans".to_owned();
                 return Err(Error::corrupt(what).within_frame_of_group(number));

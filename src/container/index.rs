@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use super::header::{FIELDS_LENGTH, StreamHeader};
 use super::scanner::ScannerId;
-use super::stamp::{Stamp, Unit};
+use super::stamp::{FrameKind, Stamp};
 use super::wire::take_u32;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -40,14 +40,14 @@ pub struct GroupEntry {
 pub struct FrameEntry {
     /// Coded bytes, frame header and checksums included.
     pub size: u64,
-    /// Unit, track and time, as in the frame's header.
+    /// Kind, track and time, as in the frame's header.
     pub stamp: Stamp,
 }
 
 impl FrameEntry {
     /// Whether it is a file beside the scans.
     pub fn is_beside(&self) -> bool {
-        self.stamp.unit == Unit::Beside
+        self.stamp.kind == FrameKind::Beside
     }
 }
 

@@ -28,7 +28,7 @@ pub use scanner::{ScannerId, ScannerRecord};
 pub use section::Section;
 
 pub use crate::ground::SectionKind;
-pub use stamp::{Stamp, Time, TimeSource, Unit};
+pub use stamp::{FrameKind, Stamp, Time, TimeSource};
 pub use writer::StreamWriter;
 
 #[cfg(test)]

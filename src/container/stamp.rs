@@ -1,12 +1,12 @@
-//! Origin of a frame: kind of input, track, time. FORMAT.md 2.5.
+//! Origin of a frame: kind, track, time. FORMAT.md 2.5.
 
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_signed, read_unsigned, write_signed, write_unsigned};
 
-/// The kind of input that a frame decodes to.
+/// What a frame decodes to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Unit {
+pub enum FrameKind {
     /// A file.
     #[default]
     File = 0,
@@ -18,16 +18,16 @@ pub enum Unit {
     Beside = 3,
 }
 
-impl Unit {
-    const ALL: [Unit; 4] = [Unit::File, Unit::Message, Unit::Points, Unit::Beside];
+impl FrameKind {
+    const ALL: [FrameKind; 4] = [FrameKind::File, FrameKind::Message, FrameKind::Points, FrameKind::Beside];
 
     /// Its name in reports.
     pub fn name(self) -> &'static str {
         match self {
-            Unit::File => "file",
-            Unit::Message => "message",
-            Unit::Points => "points",
-            Unit::Beside => "file beside the scans",
+            FrameKind::File => "file",
+            FrameKind::Message => "message",
+            FrameKind::Points => "points",
+            FrameKind::Beside => "file beside the scans",
         }
     }
 }
@@ -65,11 +65,11 @@ pub struct Time {
     pub nanoseconds: i64,
 }
 
-/// Origin of a frame: kind of input, track, time. The same in the frame's header and in the index.
+/// Origin of a frame: kind, track, time. The same in the frame's header and in the index.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamp {
-    /// The kind of input.
-    pub unit: Unit,
+    /// What it decodes to.
+    pub kind: FrameKind,
     /// Index of its track in the group, the first being 0. Each track has a scanner of its own.
     pub track: u8,
     /// The time of the scan, if known.
@@ -77,9 +77,9 @@ pub struct Stamp {
 }
 
 impl Stamp {
-    /// Appends unit, track and time.
+    /// Appends kind, track and time.
     pub(super) fn write_to(&self, out: &mut Vec<u8>) {
-        write_unsigned(out, self.unit as u64);
+        write_unsigned(out, self.kind as u64);
         write_unsigned(out, u64::from(self.track));
         write_unsigned(out, self.time.map_or(0, |time| time.source as u64));
         if let Some(time) = self.time {
@@ -92,11 +92,11 @@ impl Stamp {
     /// # Errors
     /// If it is cut short or holds a value that this program does not know.
     pub(super) fn read_from(input: &mut &[u8]) -> Result<Self> {
-        let unit = read_unsigned(input, "frame's unit")?;
-        let unit = Unit::ALL
+        let kind = read_unsigned(input, "frame's kind")?;
+        let kind = FrameKind::ALL
             .into_iter()
-            .find(|known| *known as u64 == unit)
-            .ok_or_else(|| Error::unsupported(format!("unknown unit {unit} of a frame")))?;
+            .find(|known| *known as u64 == kind)
+            .ok_or_else(|| Error::unsupported(format!("unknown kind {kind} of a frame")))?;
         let track = read_unsigned(input, "frame's track")?;
         let track = u8::try_from(track)
             .map_err(|_| Error::corrupt(format!("a frame of track {track}, which no group has")))?;
@@ -110,7 +110,7 @@ impl Stamp {
                 Some(Time { source, nanoseconds: read_signed(input, "frame's time")? })
             }
         };
-        Ok(Stamp { unit, track, time })
+        Ok(Stamp { kind, track, time })
     }
 }
 
@@ -124,8 +124,8 @@ mod tests {
             .into_iter()
             .flat_map(|nanoseconds| TimeSource::ALL.map(|source| Some(Time { source, nanoseconds })));
         for time in times.chain([None]) {
-            for (unit, track) in Unit::ALL.into_iter().zip([0, 7, 254, 1]) {
-                let stamp = Stamp { unit, track, time };
+            for (kind, track) in FrameKind::ALL.into_iter().zip([0, 7, 254, 1]) {
+                let stamp = Stamp { kind, track, time };
                 let mut bytes = Vec::new();
                 stamp.write_to(&mut bytes);
                 bytes.push(42);
@@ -139,7 +139,7 @@ mod tests {
     #[test]
     fn what_is_unknown_is_named() {
         for (bytes, complaint) in [
-            (&[4u8, 0, 0][..], "unknown unit 4"),
+            (&[4u8, 0, 0][..], "unknown kind 4"),
             (&[0, 0x80, 2, 0], "track 256"),
             (&[0, 0, 4, 0], "unknown source 4"),
             (&[0, 0, 1], "frame's time"),

@@ -12,8 +12,8 @@ fn stamp(number: u8) -> Stamp {
     let time = |source| Some(Time { source, nanoseconds: -1_000_000_007 * i64::from(number) });
     match number {
         0 => Stamp::default(),
-        1 => Stamp { unit: Unit::Message, track: 2, time: time(TimeSource::Recording) },
-        _ => Stamp { unit: Unit::Points, track: 0, time: time(TimeSource::List) },
+        1 => Stamp { kind: FrameKind::Message, track: 2, time: time(TimeSource::Recording) },
+        _ => Stamp { kind: FrameKind::Points, track: 0, time: time(TimeSource::List) },
     }
 }
 

@@ -38,13 +38,15 @@ pub enum Intensity {
     None,
     /// Rounded to integer multiples of a step.
     Rounded {
-        /// The step, in millionths of the file's unit; not 0.
+        /// The step, in millionths of the file's unit: 1 to [`MOST_INTENSITY_STEP_MILLIONTHS`].
         step_millionths: u32,
     },
 }
 
 /// The largest bound, in micrometres: 10 m.
 pub const MOST_MAX_ERROR_UM: u32 = 10_000_000;
+/// The largest step of intensities, in millionths of the file's unit: 1000.
+pub const MOST_INTENSITY_STEP_MILLIONTHS: u32 = 1_000_000_000;
 
 impl Positions {
     /// The grid for points outside the range image, or `None` if it is that of the file. No point is farther

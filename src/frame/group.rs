@@ -17,7 +17,7 @@ use super::syntax::Models;
 use super::whole::WholeFile;
 use crate::article::prediction::intra::IntraPrediction;
 use crate::backend::Trial;
-use crate::container::{FrameHeader, Section, SectionKind, Unit, allowance, pay_for};
+use crate::container::{FrameHeader, FrameKind, Section, SectionKind, allowance, pay_for};
 use crate::files::rounded_by_file;
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::grid::Grid;
@@ -165,7 +165,7 @@ impl<'s> TrackEncoder<'s> {
 
     /// As [`GroupEncoder::encode_frame`].
     fn encode_frame(&mut self, scan: ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
-        if original.stamp.unit == Unit::Beside {
+        if original.stamp.kind == FrameKind::Beside {
             return self.encode_beside(&scan, original);
         }
         let Positions::Bounded { max_error_um, .. } = self.config.positions else {

@@ -14,7 +14,7 @@ pub(crate) mod sections;
 pub(crate) mod syntax;
 mod whole;
 
-pub use fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
+pub use fidelity::{Intensity, MOST_INTENSITY_STEP_MILLIONTHS, MOST_MAX_ERROR_UM, Positions};
 pub use group::DecodedImage;
 pub use modelling::Modelling;
 pub use parameters::{FrameParameters, Prediction, Source};

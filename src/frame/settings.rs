@@ -1,6 +1,6 @@
 //! The coder controller (article, III-H): all settings of the encoder in one place.
 
-use super::fidelity::{Intensity, MOST_MAX_ERROR_UM, Positions};
+use super::fidelity::{Intensity, MOST_INTENSITY_STEP_MILLIONTHS, MOST_MAX_ERROR_UM, Positions};
 use super::levels::{self, InterChoice, LevelSettings};
 use super::modelling::Modelling;
 use super::parameters::{FrameParameters, Prediction, RangeCoder};
@@ -334,7 +334,11 @@ impl EncoderConfig {
             (Positions::Formula | Positions::Exact, Intensity::Rounded { .. }) => {
                 wrong("intensities are rounded in bounded mode only")
             }
-            (_, Intensity::Rounded { step_millionths: 0 }) => wrong("a step of intensities is not 0"),
+            (_, Intensity::Rounded { step_millionths })
+                if !(1..=MOST_INTENSITY_STEP_MILLIONTHS).contains(&step_millionths) =>
+            {
+                wrong("the step of intensities is from 0.000001 to 1000")
+            }
             (Positions::Exact, _) if drops => {
                 wrong("exact mode keeps every point and intensity; use paper mode to drop any")
             }

@@ -10,7 +10,7 @@ use rayon::ThreadPool;
 
 use super::range_image::RangeImage;
 use super::scan::Scan;
-use crate::container::{FrameHeader, IndexedReader, Stamp, StreamReader, Unit};
+use crate::container::{FrameHeader, FrameKind, IndexedReader, Stamp, StreamReader};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::team::resolve_threads;
 use crate::ground::team::{on, pool_for_frames};
@@ -54,7 +54,7 @@ pub struct FrameInfo {
     /// Its number, the first being 0.
     pub number: u64,
     /// The kind of input.
-    pub unit: Unit,
+    pub kind: FrameKind,
     /// The track: which of several scanners it is from; the first is 0.
     pub track: u8,
     /// The time at which it was taken, in nanoseconds since 1970, if known.
@@ -127,10 +127,10 @@ impl<R: Read + Seek + Send> Decoder<R> {
         let groups = self.groups.index().groups.iter().filter(|group| !group.is_beside());
         let frames = groups.flat_map(|group| (group.first_frame..).zip(&group.frames));
         frames.map(|(number, frame)| {
-            let Stamp { unit, track, time } = frame.stamp;
+            let Stamp { kind, track, time } = frame.stamp;
             FrameInfo {
                 number,
-                unit,
+                kind,
                 track,
                 time: time.map(|time| time.nanoseconds),
                 coded_bytes: frame.size,
@@ -403,7 +403,7 @@ fn decode(job: GroupJob, options: &DecodeOptions) -> DecodedGroup {
     let mut scans = Vec::new();
     let error = decode_group(job, options, |frame| {
         let frame = frame.checked()?;
-        if frame.header.stamp.unit != Unit::Beside {
+        if frame.header.stamp.kind != FrameKind::Beside {
             scans.push(scan_of(frame));
         }
         Ok(())

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use super::range_image::RangeImage;
 use super::scalar::{Scalar, Values};
-use crate::container::{Stamp, Time, TimeSource, Unit};
+use crate::container::{FrameKind, Stamp, Time, TimeSource};
 use crate::files;
 use crate::ground::error::{Error, Result};
 use crate::scan::{self, Channel, Field, Layout, MAX_STRIDE, PointCloud, ScanFile};
@@ -57,7 +57,7 @@ struct TypedChannel {
 /// A file without its points.
 #[derive(Clone, Debug)]
 struct Envelope {
-    unit: Unit,
+    kind: FrameKind,
     layout: Layout,
     prefix: Vec<u8>,
     suffix: Vec<u8>,
@@ -204,8 +204,8 @@ impl Scan {
     }
 
     /// The kind of input: a file, a message, or points in memory.
-    pub fn unit(&self) -> Unit {
-        self.file.as_ref().map_or(Unit::Points, |file| file.unit)
+    pub fn kind(&self) -> FrameKind {
+        self.file.as_ref().map_or(FrameKind::Points, |file| file.kind)
     }
 
     /// The bytes of the file; `None` if it was none.
@@ -244,14 +244,14 @@ impl Scan {
             let channel = TypedChannel { name: field.name.clone(), count: 1, values };
             channels.insert(place.min(channels.len()), channel);
         }
-        let Stamp { unit, track, time } = stamp;
-        let file = (unit != Unit::Points).then(|| Box::new(Envelope { unit, layout, prefix, suffix }));
+        let Stamp { kind, track, time } = stamp;
+        let file = (kind != FrameKind::Points).then(|| Box::new(Envelope { kind, layout, prefix, suffix }));
         Scan { name, track, time, points: records, positions: cloud.positions, channels, file, image: None }
     }
 
     /// The scan as parts for the encoder.
     pub(crate) fn into_parts(self) -> (ScanFile, Stamp) {
-        let stamp = Stamp { unit: self.unit(), track: self.track, time: self.time };
+        let stamp = Stamp { kind: self.kind(), track: self.track, time: self.time };
         let (layout, prefix, suffix) = match self.file {
             Some(file) => (file.layout, file.prefix, file.suffix),
             None => {

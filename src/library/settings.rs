@@ -100,7 +100,7 @@ impl Settings {
         }
         config.gop = self.group_of_pictures.unwrap_or(config.default_gop());
         if let Some(step) = self.intensity_step {
-            // NaN becomes 0, which is rejected.
+            // NaN becomes 0, and what is too large the largest integer, both of which are rejected.
             config.intensity = Intensity::Rounded { step_millionths: (step * 1e6).round() as u32 };
         }
         config.check()?;

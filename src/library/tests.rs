@@ -6,7 +6,7 @@ use std::mem::take;
 use std::sync::{Arc, Mutex};
 
 use super::*;
-use crate::container::Unit;
+use crate::container::FrameKind;
 use crate::frame::EncoderConfig;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::Scalar as ScalarType;
@@ -100,7 +100,7 @@ fn files_make_the_same_stream_as_by_the_command_line() {
         let stream = encoded(scans, Settings::exact().with_group_of_pictures(2).with_threads(threads));
         assert!(stream == expected, "{threads} threads");
         for (scan, (name, bytes)) in decoded(&stream).into_iter().zip(&files) {
-            assert_eq!((scan.name(), scan.unit()), (&name[..], Unit::File));
+            assert_eq!((scan.name(), scan.kind()), (&name[..], FrameKind::File));
             assert_eq!(scan.file_bytes().unwrap().as_ref(), Some(bytes));
             assert_eq!(
                 scan.channels().map(|channel| channel.name.to_owned()).collect::<Vec<_>>(),
@@ -121,7 +121,9 @@ fn points_in_memory_take_what_a_file_takes_but_for_its_name() {
     assert_eq!(as_points.len(), as_files.len() - names);
     for (found, scan) in decoded(&as_points).iter().zip(scans()) {
         assert!(
-            found.unit() == Unit::Points && found.file_bytes().unwrap().is_none() && found.name().is_empty()
+            found.kind() == FrameKind::Points
+                && found.file_bytes().unwrap().is_none()
+                && found.name().is_empty()
         );
         assert_eq!(bits(found), bits(&scan));
         let intensities = |scan: &Scan| scan.channel::<f32>("intensity").unwrap().to_vec();
@@ -326,6 +328,9 @@ fn settings_out_of_range_are_refused() {
         Settings::exact().with_group_of_pictures(0),
         Settings::exact().with_intensity_step(0.5),
         Settings::bounded(0.01).with_intensity_step(f64::NAN),
+        Settings::bounded(0.01).with_intensity_step(0.0),
+        Settings::bounded(0.01).with_intensity_step(1000.1),
+        Settings::bounded(0.01).with_intensity_step(1e9),
         Settings::bounded(f64::NAN),
         Settings::bounded(-1.0),
         Settings::bounded(10.1),

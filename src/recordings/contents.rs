@@ -9,7 +9,7 @@ use mcap::records::{Channel, MessageHeader, Record};
 use super::message::{self, Encoding};
 use super::pack::unpacked;
 use super::records::{Faults, Records};
-use crate::container::{self, Stamp, StreamReader, Time, TimeSource, Unit};
+use crate::container::{self, FrameKind, Stamp, StreamReader, Time, TimeSource};
 use crate::frame::FrameParameters;
 use crate::ground::error::{Error, Limits, Result};
 use crate::library::Scan;
@@ -88,7 +88,7 @@ impl<'f, R: Read> Clouds<'f, R> {
             return None;
         };
         let time = Time { source: TimeSource::Recording, nanoseconds: stamp };
-        Some(Scan::of_parts(scan, Stamp { unit: Unit::Points, track, time: Some(time) }))
+        Some(Scan::of_parts(scan, Stamp { kind: FrameKind::Points, track, time: Some(time) }))
     }
 }
 

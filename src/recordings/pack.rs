@@ -9,7 +9,7 @@ use mcap::records::{Channel, MessageHeader, Record, SchemaHeader};
 use super::contents::{TopicFilter, damaged_cloud};
 use super::message::{self, Encoding};
 use super::records::{Faults, Output, Records, numbers_in};
-use crate::container::{Stamp, Time, TimeSource, Unit};
+use crate::container::{FrameKind, Stamp, Time, TimeSource};
 use crate::frame::settings::EncoderConfig;
 use crate::frame::{Intensity, Positions};
 use crate::ground::error::{Error, Result};
@@ -302,7 +302,7 @@ impl PackedTopic {
         };
         let points = scan.records;
         let time = Time { source: TimeSource::Recording, nanoseconds: stamp };
-        let stamp = Stamp { unit: Unit::Message, track: 0, time: Some(time) };
+        let stamp = Stamp { kind: FrameKind::Message, track: 0, time: Some(time) };
         let payload =
             encode_known(vec![FrameInput::scan(scan).stamped(stamp)], &self.scanners, &self.config)?;
         let packed = message::compress(&data, self.encoding, &payload)?;

@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use super::encoder::EncodedGroup;
-use crate::container::{CodedFrame, FrameHeader, Index, ScannerRecord, SectionKind, StreamWriter, Unit};
+use crate::container::{CodedFrame, FrameHeader, FrameKind, Index, ScannerRecord, SectionKind, StreamWriter};
 use crate::frame::parameters::{FrameParameters, Source};
 use crate::frame::stages::StageReport;
 use crate::ground::error::Result;
@@ -64,7 +64,7 @@ impl FrameOfStream {
     /// # Errors
     /// If the frame's parameters are damaged.
     pub(crate) fn of(frame: &CodedFrame, stages: StageReport) -> Result<Self> {
-        let is_modelled = frame.header.stamp.unit == Unit::Beside
+        let is_modelled = frame.header.stamp.kind == FrameKind::Beside
             || frame.sections.iter().all(|section| section.kind != SectionKind::Bytes);
         let is_exact = FrameParameters::of(frame)?.source.is_none();
         let (header, source) = (frame.header.clone(), Source::of(frame)?);
@@ -81,8 +81,8 @@ impl Encoded {
         self.outliers += frame.source.outliers;
         self.lost += frame.source.lost;
         self.unmodelled += u64::from(!frame.is_modelled);
-        self.exact += u64::from(frame.is_exact && frame.header.stamp.unit != Unit::Beside);
-        if frame.header.stamp.unit == Unit::Beside {
+        self.exact += u64::from(frame.is_exact && frame.header.stamp.kind != FrameKind::Beside);
+        if frame.header.stamp.kind == FrameKind::Beside {
             self.beside += 1;
             self.beside_bytes += frame.header.file_size;
             self.beside_coded += frame.stages.coded();

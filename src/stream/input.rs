@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use crate::container::{FrameHeader, Stamp, TRACKS_MAX, Unit};
+use crate::container::{FrameHeader, FrameKind, Stamp, TRACKS_MAX};
 #[cfg(feature = "cli")]
 use crate::container::{Time, TimeSource};
 use crate::files::names::check_name;
@@ -44,10 +44,10 @@ impl FrameInput {
         FrameInput { data: Data::File { path, name }, stamp: Stamp::default(), drive: 0 }
     }
 
-    /// A file [beside](Unit::Beside) the scans, which is stored as plain bytes; or, if the name ends in `/`,
+    /// A file [beside](FrameKind::Beside) the scans, which is stored as plain bytes; or, if the name ends in `/`,
     /// an empty folder.
     pub fn beside(path: PathBuf, name: String) -> Self {
-        let stamp = Stamp { unit: Unit::Beside, ..Stamp::default() };
+        let stamp = Stamp { kind: FrameKind::Beside, ..Stamp::default() };
         FrameInput::file(path, name).stamped(stamp)
     }
 
@@ -56,10 +56,10 @@ impl FrameInput {
         FrameInput { data: Data::Memory { name, bytes }, stamp: Stamp::default(), drive: 0 }
     }
 
-    /// Points that are already parsed: [points in memory](Unit::Points), which need no name, unless
+    /// Points that are already parsed: [points in memory](FrameKind::Points), which need no name, unless
     /// [`stamped`](Self::stamped) says otherwise.
     pub fn scan(scan: ScanFile) -> Self {
-        let stamp = Stamp { unit: Unit::Points, ..Stamp::default() };
+        let stamp = Stamp { kind: FrameKind::Points, ..Stamp::default() };
         FrameInput { data: Data::Scan(Box::new(scan)), stamp, drive: 0 }
     }
 
@@ -113,9 +113,9 @@ impl FrameInput {
             Data::File { name, .. } | Data::Memory { name, .. } => name,
             Data::Scan(scan) => &scan.name,
         };
-        let can_do_without = self.stamp.unit != Unit::File;
+        let can_do_without = self.stamp.kind != FrameKind::File;
         if !(name.is_empty() && can_do_without) {
-            let folder = name.strip_suffix('/').filter(|_| self.stamp.unit == Unit::Beside);
+            let folder = name.strip_suffix('/').filter(|_| self.stamp.kind == FrameKind::Beside);
             check_name(&self.path(), folder.unwrap_or(name))?;
         }
         Ok(name)
@@ -133,7 +133,7 @@ impl FrameInput {
 
     /// Whether it is an empty folder.
     fn is_folder(&self) -> bool {
-        self.stamp.unit == Unit::Beside && self.name().is_ok_and(|name| name.ends_with('/'))
+        self.stamp.kind == FrameKind::Beside && self.name().is_ok_and(|name| name.ends_with('/'))
     }
 
     /// Bytes of the file.
@@ -190,7 +190,7 @@ impl FrameInput {
         let (name, stamp) = (self.name()?.to_owned(), self.stamp);
         let (header, scan) = match self.data {
             Data::Scan(scan) => {
-                if stamp.unit == Unit::Points {
+                if stamp.kind == FrameKind::Points {
                     Error::check_fits("points", scan.records as u64, Limits::default().points)?;
                 }
                 (header_of(&scan)?, *scan)
@@ -198,8 +198,8 @@ impl FrameInput {
             Data::File { .. } | Data::Memory { .. } => {
                 let bytes = self.into_bytes()?;
                 let header = FrameHeader::of(&name, &bytes, 0);
-                match stamp.unit {
-                    Unit::Beside => (header, ScanFile::opaque(name, bytes)),
+                match stamp.kind {
+                    FrameKind::Beside => (header, ScanFile::opaque(name, bytes)),
                     _ => (header, parse_with(&name, bytes, headerless)),
                 }
             }

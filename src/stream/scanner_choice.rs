@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::input::FrameInput;
 use super::source::record_of;
-use crate::container::{ScannerId, ScannerRecord, Unit};
+use crate::container::{FrameKind, ScannerId, ScannerRecord};
 use crate::files::HeaderlessLayout;
 use crate::frame::settings::{EncoderConfig, ProjectionKind};
 use crate::ground::error::Result;
@@ -55,7 +55,7 @@ pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> 
     let last = frames.iter().map(FrameInput::drive).max().unwrap_or(0);
     let mut scanners: Vec<_> = (0..=last).map(|_| DriveScanners::new(vec![None])).collect();
     for frames in frames.chunk_by(|one, next| one.drive() == next.drive()) {
-        if frames[0].stamp().unit != Unit::Beside {
+        if frames[0].stamp().kind != FrameKind::Beside {
             scanners[frames[0].drive()] = scanners_of_drive(frames, config)?;
         }
     }

@@ -4,8 +4,8 @@ use std::io::Cursor;
 
 use super::*;
 use crate::container::{
-    FrameHeader, Group, Record, ScannerId, ScannerRecord, Section, SectionKind, Stamp, StreamReader,
-    StreamWriter, Time, TimeSource, Unit,
+    FrameHeader, FrameKind, Group, Record, ScannerId, ScannerRecord, Section, SectionKind, Stamp,
+    StreamReader, StreamWriter, Time, TimeSource,
 };
 use crate::edit::{Named, cat, cut};
 use crate::frame::*;
@@ -213,7 +213,7 @@ fn messages(track: u8, config: SynthConfig) -> Vec<FrameInput> {
         let nanoseconds = -100_000_000 * number - i64::from(track);
         let time = Some(Time { source: TimeSource::Recording, nanoseconds });
         let name = format!("{track}-{number}.bin");
-        FrameInput::memory(name, frame.to_bin()).stamped(Stamp { unit: Unit::Message, track, time })
+        FrameInput::memory(name, frame.to_bin()).stamped(Stamp { kind: FrameKind::Message, track, time })
     };
     (0..).zip(drive(&still)).map(message).collect()
 }

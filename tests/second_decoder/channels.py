@@ -150,6 +150,7 @@ class Column:
                 expected[n] = scale.nearest(told)
         if self.integers is None and not rule:
             self.integers = Integers()
+        first = bits.plain(8) if rule > TICK + 1 else 0
         doubts = self.rules.doubts(bits) if rule else None
         found = []
         past = []
@@ -159,7 +160,7 @@ class Column:
                 past.append(past[-1] if past else 0)
                 continue
             if rule:
-                past.append(self.rules.code(bits, (rule, doubts), n, keys[n], columns[n], expected[n] or 0))
+                past.append(self.rules.code(bits, (rule, first, doubts), n, keys[n], columns[n], expected[n] or 0))
             else:
                 lagged = (past[n - lag], past[n - lag - 1]) if 0 < lag < n else None
                 past.append(self.integers.code(bits, keys[n], columns[n], expected[n], lagged))
@@ -348,10 +349,13 @@ class Rules:
     def doubts(self, bits):
         return self.doubted.code(bits), self.doubts_new_columns.code(bits)
 
-    def code(self, bits, rule_and_doubts, record, key, column, told):
-        rule, (doubted, of_new_columns) = rule_and_doubts
-        phase = column % (rule - 4) if rule > 4 else 0
-        o = slot(key, phase)
+    def code(self, bits, settings, record, key, column, told):
+        rule, first, (doubted, of_new_columns) = settings
+        turn = rule - TICK if rule > TICK else 1
+        phase = (column + first) % turn
+        o = key * turn + phase
+        if o >= TABLE:
+            o = slot(key, phase)
         a = slot(key, self.last)
         base = {BEAM: 0, COLUMN: self.bases.get(column, 0), TICK: self.bases.get(column, 0)}.get(rule, self.base)
         expected = wrap(base + self.offsets.get(o, 0), 64)

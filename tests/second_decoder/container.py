@@ -8,7 +8,7 @@ MAGIC = b"\x89LPC"
 VERSION = 1
 
 SCANNER, GROUP, INDEX, END = 1, 2, 3, 4
-# The unit of a file beside the scans, 2.5.
+# The kind of a file beside the scans, 2.5.
 BESIDE = 3
 SKIPPABLE = 0x80
 
@@ -95,11 +95,11 @@ class Reader:
 
 
 def stamp(reader):
-    """Of a frame, in its header and in the index: unit, track, time_source, time."""
-    unit, track, time_source = reader.varint(), reader.varint(), reader.varint()
-    if unit > BESIDE or track > 254 or time_source > 3:
-        raise Refused("an unknown unit, track or source of time")
-    return unit, track, time_source, reader.svarint() if time_source else None
+    """Of a frame, in its header and in the index: kind, track, time_source, time."""
+    kind, track, time_source = reader.varint(), reader.varint(), reader.varint()
+    if kind > BESIDE or track > 254 or time_source > 3:
+        raise Refused("an unknown kind, track or source of time")
+    return kind, track, time_source, reader.svarint() if time_source else None
 
 
 class Frame:

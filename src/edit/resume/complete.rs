@@ -117,7 +117,7 @@ fn compare_inputs(
         if known.name != name {
             return Err(differs(format!("holds other frames ({:?}, not {name:?})", known.name)));
         }
-        if (known.stamp.unit, known.stamp.time) != (stamp.unit, stamp.time) {
+        if (known.stamp.kind, known.stamp.time) != (stamp.kind, stamp.time) {
             return Err(differs(format!("holds {name:?} with another time or as another kind of file")));
         }
         if config.is_exact() {
