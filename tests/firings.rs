@@ -89,7 +89,7 @@ fn the_order_of_the_file_costs_nothing_and_no_point_is_a_stray() {
     let scanner = Scanner::of_record(scanners[0].family, &scanners[0].payload).unwrap();
     assert!(matches!(scanner, Some(Scanner::Firings(_))));
     let bytes = |wanted: SectionKind| bytes_of(wanted, &groups);
-    assert_eq!(bytes(SectionKind::Points), 0, "there are no strays");
+    assert_eq!(bytes(SectionKind::Strays), 0, "there are no strays");
     assert!(bytes(SectionKind::Order) <= 4 * scans.len());
     assert!(bytes(SectionKind::Correction) <= 300 * scans.len());
     let points: usize = scans.iter().map(Vec::len).sum();
@@ -231,7 +231,7 @@ fn a_file_of_whole_firings_has_no_strays_whatever_its_blanks_and_lines() {
                 .map(|section| section.payload.len())
                 .sum::<usize>()
         };
-        assert_eq!(kinds(SectionKind::Points), 0);
+        assert_eq!(kinds(SectionKind::Strays), 0);
         assert!(kinds(SectionKind::Blanks) > 0 && kinds(SectionKind::Blanks) < 400);
         round_trip(&files(&all), &at_level(1));
         round_trip(&files(&all), &at_level(9));
@@ -246,7 +246,7 @@ fn echoes_come_back_at_every_level_and_cost_less_than_strays() {
         let stream = round_trip(&files(std::slice::from_ref(&points)), &at_level(level));
         let (_, groups) = take_apart(&stream);
         let sections = &groups[0].frames[0].sections;
-        assert!(sections.iter().all(|section| section.kind != SectionKind::Points), "level {level}");
+        assert!(sections.iter().all(|section| section.kind != SectionKind::Strays), "level {level}");
         assert!(sections.iter().any(|section| section.kind == SectionKind::Echoes), "level {level}");
     }
 }

@@ -389,7 +389,7 @@ fn strays_of_bytes_that_are_made_up_are_an_error_in_time() {
     for payload in [&[][..], &[0xff; 3], &[0x55; 40]] {
         let most = 60_000 / 16;
         let mut frame = vec![file_section(&kitti_layout(), most, most)];
-        frame.extend(sections(&[SectionKind::Points, SectionKind::Intensity], payload));
+        frame.extend(sections(&[SectionKind::Strays, SectionKind::Intensity], payload));
         let error = decode_files(&forged(None, most, frame)).unwrap_err().to_string();
         let is_known = error.contains("points section ends too early") || error.contains("compressed bytes");
         assert!(is_known, "{error}");
@@ -409,7 +409,7 @@ fn random_sections_behind_a_good_file_section() {
         // The coder reads low bytes as ones: all columns and cells at first, then fewer and fewer.
         payload[0] = (round * 6) as u8;
         let mut frame = vec![good.clone()];
-        for &kind in &[&IMAGE[..2], &[SectionKind::Points], &IMAGE[2..]].concat() {
+        for &kind in &[&IMAGE[..2], &[SectionKind::Strays], &IMAGE[2..]].concat() {
             frame.push(Section { kind, payload: payload.clone() });
         }
         for modelling in [Modelling::Mixed, Modelling::Deep, Modelling::Light, Modelling::Packed] {

@@ -7,7 +7,7 @@ use crate::common::messages::cloud;
 use crate::common::scans::{Points, scans};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 use lidarpc::recordings::internals::{Encoding, points as points_of, scan};
-use lidarpc::recordings::{Clouds, Copied, TopicFilter, examine, pack, unpack};
+use lidarpc::recordings::{Clouds, CopySummary, TopicFilter, examine, pack, unpack};
 use lidarpc::{Decoder, Encoder, Settings};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, WriteOptions};
@@ -93,13 +93,13 @@ fn recording(compression: Option<Compression>, is_cdr: bool) -> Vec<u8> {
     out.into_inner().into_inner()
 }
 
-fn packed(recording: &[u8], settings: &Settings, filter: &TopicFilter) -> (Vec<u8>, Copied) {
+fn packed(recording: &[u8], settings: &Settings, filter: &TopicFilter) -> (Vec<u8>, CopySummary) {
     let mut out = Cursor::new(Vec::new());
     let copied = pack(Cursor::new(recording), &mut out, settings, filter, &|| ()).unwrap();
     (out.into_inner(), copied)
 }
 
-fn unpacked(recording: &[u8]) -> (Vec<u8>, Copied) {
+fn unpacked(recording: &[u8]) -> (Vec<u8>, CopySummary) {
     let mut out = Cursor::new(Vec::new());
     let copied = unpack(recording, &mut out, 2, &|| ()).unwrap();
     (out.into_inner(), copied)

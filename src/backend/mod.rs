@@ -148,8 +148,8 @@ pub fn may_lzma_pay(quick: usize, most: usize, sample: impl FnOnce() -> Option<V
     }
 }
 
-/// What the last frame has shown of a general-purpose coder in place of the models: an encoder spares itself the way that
-/// was clearly longer, in frames that are like that one.
+/// Whether a general-purpose coder took fewer bytes than the models in the last frame that tried both. In a similar frame,
+/// the encoder skips the one that was clearly longer.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Trial {
     /// Nothing, or that both take about the same number of bytes.

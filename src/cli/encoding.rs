@@ -13,7 +13,7 @@ use anyhow::{Context, Result, bail, ensure};
 use super::args::EncodeArgs;
 use super::cleanup::SayOnSignal;
 use super::errors::about;
-use super::frames::Found;
+use super::frames::InputFiles;
 use super::output::{FileOutput, name_of_output};
 use super::partial::{self, PartialOutput};
 use super::progress;
@@ -32,7 +32,12 @@ pub struct Done {
 /// # Errors
 /// If a file cannot be read; if the output exists, cannot be written, or decodes to something else; if a complete one
 /// differs.
-pub fn encode_found(args: &EncodeArgs, config: &EncoderConfig, found: &Found, quiet: bool) -> Result<Done> {
+pub fn encode_found(
+    args: &EncodeArgs,
+    config: &EncoderConfig,
+    found: &InputFiles,
+    quiet: bool,
+) -> Result<Done> {
     let complete = match args.resume && !args.force {
         true => {
             partial::complete(args.output()).map_err(|error| about(error, &name_of_output(args.output())))?
@@ -52,7 +57,12 @@ pub fn encode_found(args: &EncodeArgs, config: &EncoderConfig, found: &Found, qu
 ///
 /// # Errors
 /// If a file cannot be read, or if the output exists, cannot be written, or decodes to something else.
-fn encode_files(args: &EncodeArgs, config: &EncoderConfig, found: &Found, quiet: bool) -> Result<Encoded> {
+fn encode_files(
+    args: &EncodeArgs,
+    config: &EncoderConfig,
+    found: &InputFiles,
+    quiet: bool,
+) -> Result<Encoded> {
     let mut output = create_output(args, quiet)?;
     let frames = found.inputs();
     let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);

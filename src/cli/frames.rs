@@ -23,7 +23,7 @@ use super::{partial, table};
 
 /// The files to encode.
 #[derive(Default)]
-pub struct Found {
+pub struct InputFiles {
     /// The scans, drive by drive.
     pub frames: Vec<FoundFile>,
     /// The files beside them that are stored.
@@ -32,7 +32,7 @@ pub struct Found {
     pub left_out: LeftOut,
 }
 
-impl Found {
+impl InputFiles {
     /// The inputs of the encoder.
     pub fn inputs(&self) -> Vec<FrameInput> {
         let mut inputs = FrameInput::found(self.frames.iter().cloned());
@@ -65,7 +65,7 @@ impl Found {
 /// # Errors
 /// If there is no scan, or if an explicitly named file is not a scan or would be overwritten; with
 /// `--strict`, if anything is left out.
-pub fn find(args: &EncodeArgs, quiet: bool) -> Result<Found> {
+pub fn find(args: &EncodeArgs, quiet: bool) -> Result<InputFiles> {
     let mut found = if args.all { find_all(&args.inputs)? } else { find_frames(&args.inputs)? };
     if !args.force_bytes {
         args.inputs.iter().filter(|input| input.is_file()).try_for_each(|input| check_scan(input))?;
@@ -99,7 +99,7 @@ pub fn find(args: &EncodeArgs, quiet: bool) -> Result<Found> {
         }
     }
     check_left_out(&left_out, &name_of_inputs(&args.inputs), args.strict, quiet)?;
-    Ok(Found { frames: found.frames, beside: found.beside, left_out })
+    Ok(InputFiles { frames: found.frames, beside: found.beside, left_out })
 }
 
 /// The name of several inputs in messages.

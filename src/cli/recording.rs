@@ -11,7 +11,7 @@ use crate::frame::settings::EncoderConfig;
 use crate::frame::{Intensity, Positions};
 use crate::ground::error::Error;
 use crate::library::Settings;
-use crate::recordings::{self, Clouds, Contents, Copied, Topic, TopicFilter};
+use crate::recordings::{self, Clouds, Contents, CopySummary, Topic, TopicFilter};
 use crate::stream::{self, FrameInput};
 use crate::study::metrics;
 use anyhow::{Result, bail, ensure};
@@ -52,7 +52,7 @@ impl Report {
     /// encoded.
     fn of(
         output: &Path,
-        copied: &Copied,
+        copied: &CopySummary,
         left_out: u64,
         encoded: Option<(&EncoderConfig, bool)>,
         start: Instant,
@@ -221,13 +221,13 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &name))?;
     let left_out = clouds.left_out;
-    let copied = Copied {
+    let copied = CopySummary {
         messages: encoded.frames.len() as u64,
         clouds: encoded.frames.len() as u64,
         points: encoded.points,
         cloud_bytes: [encoded.file_bytes(), encoded.stream_bytes],
         damage: clouds.damage(),
-        ..Copied::default()
+        ..CopySummary::default()
     };
     let damage = copied.damage.as_deref();
     check_topics(input, &args.topic, &clouds.topics)?;
@@ -267,7 +267,7 @@ pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
 }
 
 /// Copies a recording and decodes its clouds.
-fn unpack(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied> {
+fn unpack(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<CopySummary> {
     keep_inputs(args.output(), &args.inputs)?;
     let bar = progress::bar(None, "unpacking", quiet);
     let (copied, output) = copy(input, args.output(), args.force, |out| {
@@ -279,7 +279,7 @@ fn unpack(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<Copied> {
 }
 
 /// Decodes the clouds to files in a folder. Returns also the number of messages that were left out.
-fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<(Copied, u64)> {
+fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<(CopySummary, u64)> {
     if is_dash(args.output()) {
         wrong_usage("decode", "a recording is decoded into a folder, or to FILE.mcap");
     }
@@ -289,7 +289,7 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<(Copied
     let mut clouds = open(input).and_then(|file| Clouds::open(file, &filter)).map_err(at)?;
     let folder = FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs);
     let bar = progress::bar(None, "decoding", quiet);
-    let mut copied = Copied::default();
+    let mut copied = CopySummary::default();
     for (number, cloud) in clouds.by_ref().enumerate() {
         let (mut scan, _) = cloud.into_parts();
         scan.name = format!("{number:06}");
@@ -445,8 +445,8 @@ fn copy(
     input: &Path,
     path: &Path,
     force: bool,
-    write: impl FnOnce(&mut BufWriter<&mut File>) -> std::result::Result<Copied, Error>,
-) -> Result<(Copied, FileOutput)> {
+    write: impl FnOnce(&mut BufWriter<&mut File>) -> std::result::Result<CopySummary, Error>,
+) -> Result<(CopySummary, FileOutput)> {
     let mut output = FileOutput::create(path, force)?;
     let FileOutput::Temporary { file, .. } = &mut output else {
         bail!("{}: a recording needs a file that can be sought in, not a pipe", path.display());
@@ -463,7 +463,7 @@ fn copy(
 }
 
 /// Unpacks the output and compares it with the input, message by message.
-fn verify(input: &Path, output: &FileOutput, copied: &Copied, threads: usize) -> Result<()> {
+fn verify(input: &Path, output: &FileOutput, copied: &CopySummary, threads: usize) -> Result<()> {
     let at = |error| about(error, &input.display().to_string());
     let Some(packed) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
     let mut restored = tempfile::tempfile().map_err(|error| at(error.into()))?;

@@ -21,7 +21,7 @@ use serde::Serialize;
 use super::args::{DecodeArgs, EncodeArgs, wrong_usage};
 use super::encoding::{Done, encode_found};
 use super::errors::{NotWhole, say};
-use super::frames::{self, Found};
+use super::frames::{self, InputFiles};
 use super::input::is_pipe;
 use super::output::{create_folders, parent, print_json};
 use super::report::{LeftOutReport, StreamReport, summary};
@@ -35,7 +35,7 @@ pub fn is_folder(output: &Path) -> bool {
 /// A drive, and the path of its stream.
 struct Drive {
     output: PathBuf,
-    found: Found,
+    found: InputFiles,
 }
 
 /// The machine-readable report.
@@ -177,11 +177,11 @@ fn drives(args: &EncodeArgs, quiet: bool) -> Result<(Vec<Drive>, LeftOut)> {
 /// The files found, drive by drive, with names below the drive; files in no drive are left out.
 fn drives_of(
     args: &EncodeArgs,
-    found: Found,
+    found: InputFiles,
     left_out: &mut LeftOut,
     quiet: bool,
-) -> Result<BTreeMap<String, Found>> {
-    let mut drives: BTreeMap<String, Found> = BTreeMap::new();
+) -> Result<BTreeMap<String, InputFiles>> {
+    let mut drives: BTreeMap<String, InputFiles> = BTreeMap::new();
     let mut beyond = LeftOut::default();
     let frames = found.frames.into_iter().map(|file| (true, file));
     let files = frames.chain(found.beside.into_iter().map(|file| (false, file)));

@@ -45,8 +45,8 @@ pub struct Lost {
 
 /// Reads the intact parts of a stream: all records whose checksum matches, wherever they are. One intact copy
 /// of a scanner is enough, before or after the groups that use it. The numbers of the frames come from the
-/// index, if it is intact; so does the order of the groups. Records that stand in another order than the index says are told
-/// as a loss of no frame, as a decoder that reads from front to back rejects them.
+/// index, if it is intact; so does the order of the groups. Records in another order than the index lists are reported as a
+/// loss of zero frames, because a sequential decoder rejects them.
 pub struct SalvageReader<R> {
     input: R,
     limits: Limits,

@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 pub use complete::confirm_complete;
 use fingerprint::fingerprint;
 use journal::{Entry, InputFile, Journal, JournalWriter};
-use kept::Kept;
+use kept::IntactPart;
 use settings::Settings;
 
 use crate::container::ScannerRecord;
@@ -99,7 +99,7 @@ pub fn encode_resuming(
 /// Opens the files for writing after the kept part, or from the start if nothing is kept.
 fn open<'p>(
     partial: &'p PartialFiles,
-    kept: Kept,
+    kept: IntactPart,
     settings: Settings,
     scanners: &[DriveScanners],
 ) -> Result<(OpenStream<BufWriter<&'p File>>, JournalWriter)> {
@@ -119,17 +119,17 @@ fn open<'p>(
 }
 
 /// The intact part of the files; nothing if they are new.
-fn find_kept(partial: &PartialFiles) -> Result<Kept> {
+fn find_kept(partial: &PartialFiles) -> Result<IntactPart> {
     match Journal::read(&partial.journal)? {
-        Some(journal) => Kept::find(&partial.stream, journal),
-        None if partial.stream.metadata()?.len() == 0 => Ok(Kept::default()),
+        Some(journal) => IntactPart::find(&partial.stream, journal),
+        None if partial.stream.metadata()?.len() == 0 => Ok(IntactPart::default()),
         None => Err(refuse(&partial.path, "has no journal that says what it was made from")),
     }
 }
 
 /// An error if these are not the files from which the kept groups were encoded.
 fn compare_inputs(
-    kept: &Kept,
+    kept: &IntactPart,
     frames: &[FrameInput],
     config: &EncoderConfig,
     partial: &Path,

@@ -37,7 +37,7 @@ pub struct FoundFile {
     /// the folder that contains it, without `velodyne_points/data` and the like.
     pub drive: String,
     /// The time at which it was taken, in nanoseconds since 1970, if known.
-    pub time: Option<times::Found>,
+    pub time: Option<times::ScanTime>,
 }
 
 impl Sequence {

@@ -6,7 +6,7 @@ use std::time::UNIX_EPOCH;
 
 /// A time, and its source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Found {
+pub struct ScanTime {
     /// Nanoseconds since 1970.
     pub nanoseconds: i64,
     /// Whether it is from a list beside the scans rather than from the scan's name.
@@ -25,7 +25,7 @@ const LIST_BYTES: u64 = 64 << 20;
 /// If the names are numbers below the number of lines, each scan has the line with its number, the first
 /// being 0: KITTI's drives lack scans that their lists have. Otherwise there must be exactly one line for
 /// each scan, in order.
-pub fn of_folder(folder: &Path, scans: &[PathBuf]) -> Vec<Option<Found>> {
+pub fn of_folder(folder: &Path, scans: &[PathBuf]) -> Vec<Option<ScanTime>> {
     let names: Vec<_> =
         scans.iter().map(|scan| scan.file_name().unwrap_or_default().to_string_lossy()).collect();
     let lists = LISTS.iter().flat_map(|name| {
@@ -34,7 +34,7 @@ pub fn of_folder(folder: &Path, scans: &[PathBuf]) -> Vec<Option<Found>> {
     });
     let mut listed = lists.filter_map(|path| {
         let list = read(&path)?;
-        let at = |place: usize| Found { nanoseconds: list[place], is_listed: true };
+        let at = |place: usize| ScanTime { nanoseconds: list[place], is_listed: true };
         Some(places(&names, list.len())?.into_iter().map(|place| Some(at(place))).collect())
     });
     listed.next().unwrap_or_else(|| names.iter().map(|name| of_name(name)).collect())
@@ -70,7 +70,7 @@ fn of_line(line: &str) -> Option<i64> {
 
 /// The time of a scan, if its name contains exactly one number that is nanoseconds (19 digits) or
 /// microseconds (16 digits) in a year from 2001 to 2099, or nanoseconds of Argoverse's clock (18 digits), which begin in 1980.
-pub fn of_name(name: &str) -> Option<Found> {
+pub fn of_name(name: &str) -> Option<ScanTime> {
     let runs = name.split(|letter: char| !letter.is_ascii_digit());
     let times = runs.filter_map(|digits| {
         let number: i64 = digits.parse().ok()?;
@@ -82,7 +82,7 @@ pub fn of_name(name: &str) -> Option<Found> {
         (315_532_800_000_000_000..4_102_444_800_000_000_000).contains(&nanoseconds).then_some(nanoseconds)
     });
     match &times.collect::<Vec<_>>()[..] {
-        [nanoseconds] => Some(Found { nanoseconds: *nanoseconds, is_listed: false }),
+        [nanoseconds] => Some(ScanTime { nanoseconds: *nanoseconds, is_listed: false }),
         _ => None,
     }
 }

@@ -24,7 +24,7 @@ pub enum SectionKind {
     /// How the order of the points differs from canonical order (FORMAT.md 4.2).
     Order,
     /// Points that no model explains, in the order of the file.
-    Points,
+    Strays,
     /// Fields other than position and intensity.
     Channels,
     /// How the frame is coded; always the first section.
@@ -63,7 +63,7 @@ impl SectionKind {
         SectionKind::Correction,
         SectionKind::Intensity,
         SectionKind::Order,
-        SectionKind::Points,
+        SectionKind::Strays,
         SectionKind::Channels,
         SectionKind::Parameters,
         SectionKind::Contour,
@@ -95,7 +95,7 @@ impl SectionKind {
             SectionKind::Correction => "correction",
             SectionKind::Intensity => "intensity",
             SectionKind::Order => "order",
-            SectionKind::Points => "points",
+            SectionKind::Strays => "strays",
             SectionKind::Channels => "channels",
             SectionKind::Parameters => "parameters",
             SectionKind::Contour => "contour",

@@ -1,5 +1,6 @@
 //! Variable-length integers (LEB128): seven bits per byte, least significant first, with the top bit set in all bytes
-//! but the last. Signed integers are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3. FORMAT.md 1.
+//! but the last. Signed integers are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3. Also floating-point numbers, in
+//! eight bytes. FORMAT.md 1.
 
 use std::io::{ErrorKind, Read};
 use std::ops::RangeInclusive;
@@ -43,6 +44,17 @@ pub fn read_unsigned(input: &mut impl Read, what: &str) -> Result<u64> {
         }
     }
     Err(Error::corrupt(format!("{what} does not fit 64 bits")))
+}
+
+/// Takes a number of 8 bytes, little-endian, off the front of `input`. `what` names the field in errors.
+///
+/// # Errors
+/// If the input ends.
+pub fn read_f64(input: &mut &[u8], what: &str) -> Result<f64> {
+    let (first, rest) =
+        input.split_first_chunk().ok_or_else(|| Error::corrupt(format!("{what} is cut short")))?;
+    *input = rest;
+    Ok(f64::from_le_bytes(*first))
 }
 
 /// Reads an unsigned integer in a range. `what` names the field in errors.

@@ -33,7 +33,7 @@ pub struct PointModel {
 pub struct Analysis {
     grid: Coordinates,
     repeats: Vec<Repeat>,
-    /// For each point that is not a repeat: the number, among these, of the point before it in its trail.
+    /// For each point that is not a repeat, the index of its predecessor on the same trail; both count such points only.
     before: Vec<Option<usize>>,
     /// If channels may tell the trails: about the number of bytes by the best channel, and by the order of the points.
     pub sizes_by: Option<TrailSizes>,

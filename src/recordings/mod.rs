@@ -10,7 +10,7 @@ mod pack;
 mod records;
 
 pub use contents::{Clouds, Contents, Topic, TopicFilter, examine, same_messages};
-pub use pack::{Copied, pack, unpack};
+pub use pack::{CopySummary, pack, unpack};
 
 /// For this crate's own tests and fuzz targets.
 #[cfg(feature = "internals")]

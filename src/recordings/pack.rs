@@ -26,7 +26,7 @@ const CHANNEL_KEY: &str = "lidarpc.channel";
 
 /// Numbers of what was copied.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Copied {
+pub struct CopySummary {
     /// All messages.
     pub messages: u64,
     /// Clouds among them that were compressed, or compressed clouds that were decoded.
@@ -52,14 +52,14 @@ pub struct Copied {
 /// # Errors
 /// If the input is not a recording or is already packed, if the input or the output fails, or if the settings are
 /// invalid or those of paper mode. Of a recording that is truncated or damaged, all that can be read is copied: see
-/// [`Copied::damage`].
+/// [`CopySummary::damage`].
 pub fn pack<W: Write + Seek>(
     mut input: impl Read + Seek + Send,
     out: W,
     settings: &Settings,
     filter: &TopicFilter,
     on_message: &(dyn Fn() + Sync),
-) -> Result<Copied> {
+) -> Result<CopySummary> {
     let config = &settings.config()?;
     if config.positions == Positions::Formula || config.intensity == Intensity::None {
         return Err(Error::InvalidSettings(
@@ -71,10 +71,10 @@ pub fn pack<W: Write + Seek>(
     let topics = BTreeSet::new();
     let mut packing = Packing { config, filter, schemas, channels, topics, used, next: u16::MAX };
     let copied = copy(input, out, config.threads, |record| packing.job(record), on_message)?;
-    Ok(Copied { topics: packing.topics, ..copied })
+    Ok(CopySummary { topics: packing.topics, ..copied })
 }
 
-/// Copies a packed recording and restores its clouds. Clouds that are damaged are left out: see [`Copied::damage`].
+/// Copies a packed recording and restores its clouds. Clouds that are damaged are left out: see [`CopySummary::damage`].
 ///
 /// # Errors
 /// If the input is not a recording, or if the input or the output fails.
@@ -83,7 +83,7 @@ pub fn unpack<W: Write + Seek>(
     out: W,
     threads: usize,
     on_message: &(dyn Fn() + Sync),
-) -> Result<Copied> {
+) -> Result<CopySummary> {
     let mut unpacking = Unpacking::default();
     copy(input, out, threads, |record| unpacking.job(record), on_message)
 }
@@ -140,10 +140,10 @@ fn copy<W: Write + Seek>(
     threads: usize,
     mut job: impl FnMut(Record<'static>) -> Result<Job> + Send,
     on_message: &(dyn Fn() + Sync),
-) -> Result<Copied> {
+) -> Result<CopySummary> {
     let mut records = Records::open(input)?;
     let mut out = Output::create(out, records.header.clone())?;
-    let mut copied = Copied::default();
+    let mut copied = CopySummary::default();
     let mut faults = Faults::default();
     let jobs = std::iter::from_fn(|| Some(job(records.next()?)));
     run_ordered(threads, jobs.fuse(), Job::done, |done| {

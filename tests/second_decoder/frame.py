@@ -328,7 +328,7 @@ class Decoder:
 
     def strays(self, n, grid, around):
         """8.4: positions, and what is around each, which is `around` if they are compressed."""
-        bits = self.bits(kinds.POINTS)
+        bits = self.bits(kinds.STRAYS)
         if not self.points_are_compressed.code(bits):
             return self.points.code(bits, n, grid)
         values = decompressed(bits, F32, 12, n)

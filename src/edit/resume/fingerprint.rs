@@ -39,7 +39,7 @@ mod tests {
             group("1", 1, SectionKind::Range, scanner),
             group("2", 1, SectionKind::Range, scanner),
             group("1", 2, SectionKind::Range, scanner),
-            group("1", 1, SectionKind::Points, scanner),
+            group("1", 1, SectionKind::Strays, scanner),
             group("1", 1, SectionKind::Range, None),
         ];
         for (place, one) in groups.iter().enumerate() {

@@ -13,7 +13,7 @@ use crate::stream::encoded::{Encoded, FrameOfStream};
 
 /// The beginning of a partial stream that is intact and recorded in the journal.
 #[derive(Default)]
-pub struct Kept {
+pub struct IntactPart {
     /// The settings with which it was encoded.
     pub settings: Settings,
     /// The journal's entries about its groups; empty if nothing is kept.
@@ -28,7 +28,7 @@ pub struct Kept {
     pub journal_end: u64,
 }
 
-impl Kept {
+impl IntactPart {
     /// Reads a stream up to the first byte that contradicts the journal. Damage is not an error; it only
     /// reduces what is kept.
     ///
@@ -36,7 +36,7 @@ impl Kept {
     /// If the file cannot be read.
     pub fn find(mut stream: &File, journal: Journal) -> Result<Self> {
         stream.rewind()?;
-        let mut kept = Kept { settings: journal.settings, ..Kept::default() };
+        let mut kept = IntactPart { settings: journal.settings, ..IntactPart::default() };
         let reader = StreamReader::open(BufReader::new(stream), Limits::default());
         let Some(mut reader) = intact(reader)? else { return Ok(kept) };
         for (entry, journal_end) in journal.entries {

@@ -35,7 +35,7 @@ impl StrayModels {
         let has_points = frame.layout.position.is_some();
         frame.stray_positions.resize(if has_points { frame.strays } else { 0 }, [0.0; 3]);
         let (lattice, level) = (frame.parameters.positions.lattice(), sections.effort().level);
-        sections.section(SectionKind::Points, !frame.stray_positions.is_empty(), |coder| {
+        sections.section(SectionKind::Strays, !frame.stray_positions.is_empty(), |coder| {
             // The records of a frame without an image are its strays.
             let channels = if frame.strays == frame.records { frame.channels.as_slice() } else { &[] };
             let positions = &mut frame.stray_positions;

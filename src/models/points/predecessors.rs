@@ -64,8 +64,8 @@ fn rough_log2(value: f32) -> f32 {
     (bits >> 23) as f32 - 127.0 + (bits & 0x7f_ffff) as f32 / 8_388_608.0
 }
 
-/// For each of the points `own`, the number, among these, of the point before it in its trail, by each channel that may
-/// tell which laser measured them.
+/// For each point of `own`, the index in `own` of its predecessor on the same trail: once by each channel that may tell
+/// which laser measured the points.
 pub fn by_channels(channels: &[Channel], points: usize, own: &[usize]) -> Vec<Vec<Option<usize>>> {
     let lasers = channels.iter().filter_map(|channel| lasers(channel, points, own));
     let by_laser = lasers.map(|lasers| {
@@ -92,8 +92,8 @@ fn lasers<'a>(channel: &'a Channel, points: usize, own: &[usize]) -> Option<Vec<
     values.filter(|values| values.iter().any(|value| *value != values[0]))
 }
 
-/// For each of the points `own`, the number, among these, of the point before it in its trail, as their order tells. What is
-/// found for a multiple of [`BLOCK`] points does not depend on those after them.
+/// For each point of `own`, the index in `own` of its predecessor on the same trail, found from the order of the points.
+/// The result for the first n points, n a multiple of [`BLOCK`], does not depend on those after them.
 pub fn by_order(positions: &[[f32; 3]], own: &[usize]) -> Vec<Option<usize>> {
     /// Points before a trail's end that are looked at where the likeliest lag leads nowhere.
     const REACH: usize = 3 * LONGEST;

@@ -69,14 +69,14 @@ impl Firings {
             if firings > 1 {
                 tried.extend([(one.clone(), 0), (one, 1)]);
             }
-            let mut best: Option<(Found, std::ops::Range<usize>, u32)> = None;
+            let mut best: Option<(BlockFit, std::ops::Range<usize>, u32)> = None;
             for (block, first) in tried {
                 let Some(found) = self.block(places, columns, block.clone(), first, (last, usual), before)
                 else {
                     continue;
                 };
                 let is_whole = found.fitting == size(&block);
-                let share = |found: &Found, block| found.fitting as f64 / size(block).max(1) as f64;
+                let share = |found: &BlockFit, block| found.fitting as f64 / size(block).max(1) as f64;
                 if is_whole
                     || best.as_ref().is_none_or(|(other, b, _)| share(other, b) < share(&found, &block))
                 {
@@ -116,7 +116,7 @@ impl Firings {
         first_firing: u32,
         (last, usual): (u32, u32),
         before: Option<u32>,
-    ) -> Option<Found> {
+    ) -> Option<BlockFit> {
         let of = |column: &Column| &places[column.places.clone()];
         let own = &columns[block.clone()];
         let (first, firing) = surest(own.iter().zip(first_firing..), of)?;
@@ -140,7 +140,7 @@ impl Firings {
         };
         // Some programs do not interpolate azimuths in the last block of a packet.
         let still = search.fitting(first.column_tick, 0, best.map_or(0, |best| best.fitting));
-        if still > 0 { Some(Found { tick: first.column_tick, span: 0, fitting: still }) } else { best }
+        if still > 0 { Some(BlockFit { tick: first.column_tick, span: 0, fitting: still }) } else { best }
     }
 }
 
@@ -166,7 +166,7 @@ struct Block<'a> {
 impl Block<'_> {
     /// The tick within [`OFF`] of `from`, and the span, that explain the most places. On ties, those nearest to `from`
     /// and to the span at which the next block begins at `told`, or else to the `last` one.
-    fn best(&self, from: i64, told: Option<i64>, (last, usual): (u32, u32)) -> Option<Found> {
+    fn best(&self, from: i64, told: Option<i64>, (last, usual): (u32, u32)) -> Option<BlockFit> {
         let turn = i64::from(self.scanner.build.ticks);
         // With a table of parts, ticks advance from every base in the same way, so the places that a span explains are
         // counted for all bases at once.
@@ -175,7 +175,7 @@ impl Block<'_> {
             _ => None,
         };
         let mut counts: [Option<Counts>; 2 * UNEVEN as usize + 1] = [None; 2 * UNEVEN as usize + 1];
-        let mut best: Option<Found> = None;
+        let mut best: Option<BlockFit> = None;
         for off in (0..=2 * OFF).map(|i| if i % 2 == 0 { i / 2 } else { -(i + 1) / 2 }) {
             let tick = (from + off).rem_euclid(turn) as u32;
             let told = told.map(|told| (told - from - off).rem_euclid(turn) as u32);
@@ -193,7 +193,7 @@ impl Block<'_> {
                     None => self.fitting(tick, span, most),
                 };
                 if fitting > most {
-                    best = Some(Found { tick, span, fitting });
+                    best = Some(BlockFit { tick, span, fitting });
                 }
                 if fitting == self.size {
                     return best;
@@ -247,7 +247,7 @@ impl Block<'_> {
 /// The explanation of a block: its tick, the ticks to the next one, and the number of places for which they are
 /// right.
 #[derive(Clone, Copy)]
-struct Found {
+struct BlockFit {
     tick: u32,
     span: u32,
     fitting: usize,

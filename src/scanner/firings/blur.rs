@@ -186,7 +186,7 @@ impl Firings {
     /// The share of the points in an image whose coordinates the recipe reproduces.
     pub(super) fn accuracy(&self, projection: &Projection, cloud: &PointCloud) -> f64 {
         let image = &projection.image;
-        let span = |column: usize| Span::of(image.spans.get(column).copied().unwrap_or(0));
+        let span = |column: usize| Span::unpacked(image.spans.get(column).copied().unwrap_or(0));
         let (mut reproduced, mut all) = (0u32, 0u32);
         for row in 0..self.rows() {
             for (column, &base) in

@@ -6,7 +6,6 @@ use super::timing::Span;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::angle::shorter_way;
 use crate::ground::error::{Error, Result};
-use crate::ground::varint::{unzigzag, zigzag};
 use crate::scanner::RangeImage;
 
 /// The last difference, clamped to this magnitude, is the context of the next one.
@@ -44,10 +43,6 @@ impl Default for FiringColumnModel {
 
 fn context(difference: i64) -> usize {
     (difference.clamp(-FAR, FAR) + FAR) as usize
-}
-
-fn code_signed<C: BitCoder>(model: &mut IntegerModel, coder: &mut C, value: i64) -> i64 {
-    unzigzag(model.code(coder, zigzag(value) & (u64::MAX >> 1)))
 }
 
 impl FiringColumnModel {
@@ -89,8 +84,7 @@ impl FiringColumnModel {
             was_same = same;
             if !same {
                 let step = shorter_way(tick - last_tick, turn);
-                let difference =
-                    code_signed(&mut self.steps[context(change)], coder, step.wrapping_sub(last_step));
+                let difference = self.steps[context(change)].code_signed(coder, step.wrapping_sub(last_step));
                 let step = last_step.wrapping_add(difference);
                 change = difference;
                 last_tick = last_tick.wrapping_add(step).rem_euclid(turn);
@@ -124,20 +118,19 @@ impl FiringColumnModel {
                 next += 1;
             }
             let follows = column > 0 && blocks[column - 1] == block;
-            let Span { ticks, firing } = Span::of(known.get(column).copied().unwrap_or(0));
+            let Span { ticks, firing } = Span::unpacked(known.get(column).copied().unwrap_or(0));
             let firing = u32::from(self.firing[usize::from(follows)].code(coder, firing == 1));
             if !follows {
                 let expected = match columns.get(next) {
                     Some(&after) => (i64::from(after) - i64::from(columns[column])).rem_euclid(turn),
                     None => last,
                 };
-                difference =
-                    code_signed(&mut self.spans[context(difference)], coder, i64::from(ticks) - expected);
+                difference = self.spans[context(difference)].code_signed(coder, i64::from(ticks) - expected);
                 last = expected.wrapping_add(difference);
             }
             let ticks = u32::try_from(last).ok().filter(|&ticks| i64::from(ticks) <= turn);
             let ticks = ticks.ok_or_else(|| Error::corrupt("columns: a span of more than a turn"))?;
-            spans.push(Span { ticks, firing }.kept());
+            spans.push(Span { ticks, firing }.packed());
         }
         Ok(())
     }

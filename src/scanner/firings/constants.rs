@@ -152,7 +152,7 @@ pub(super) struct Constants<'m> {
 
 /// What reproduces the points of a scan.
 #[derive(Clone)]
-pub(super) struct Determined {
+pub(super) struct LaserFit {
     pub recipe: Recipe,
     /// With their constants.
     pub lasers: Vec<Laser>,
@@ -163,7 +163,7 @@ pub(super) struct Determined {
 impl Constants<'_> {
     /// The recipe that reproduces the most points to the last bit (the first one on ties), and the lasers. `shifts` are
     /// the whole ticks by which each laser is ahead of the others.
-    pub fn determine(&self, build: &Build, shifts: &[f64]) -> Option<Determined> {
+    pub fn determine(&self, build: &Build, shifts: &[f64]) -> Option<LaserFit> {
         /// Number of lasers by which the recipe is chosen.
         const FEW: usize = 6;
         let tick = 360.0 / f64::from(build.ticks);
@@ -182,7 +182,7 @@ impl Constants<'_> {
         let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
         let is_on_axis = build.origin == Origin::default();
         let recipes = Recipe::ALL.into_par_iter().filter(|recipe| match is_on_axis {
-            true => recipe.is_on_axis(),
+            true => recipe.may_start_in_one_point(),
             false => recipe.starts_in_beam(),
         });
         let known = recipes.map(|recipe| Firings::without_lasers(Build { recipe, ..build.clone() }));
@@ -226,12 +226,12 @@ impl Constants<'_> {
             if sums { self.of_sums(&bare, row, laser) } else { laser }
         };
         let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
-        Some(Determined { recipe: bare.build.recipe, lasers, are_turned })
+        Some(LaserFit { recipe: bare.build.recipe, lasers, are_turned })
     }
 
     /// What reproduces points whose coordinates were rounded, given the offsets of the lasers in degrees. Rounding hides
     /// which recipe it was, and the last digits of constants.
-    fn of_rounded(&self, build: &Build, offsets: &[f64]) -> Determined {
+    fn of_rounded(&self, build: &Build, offsets: &[f64]) -> LaserFit {
         /// Digits of angles in degrees; the last are those of the unit.
         const DIGITS: [f64; 4] = [1.0, 1e2, 1e3, 1.0 / ANGLE_UNIT];
         /// In degrees: the largest error of an angle.
@@ -251,7 +251,7 @@ impl Constants<'_> {
             best_of(&bare, lasers, &self.more_of_rows[row], none).0
         };
         let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
-        Determined { recipe, lasers, are_turned: false }
+        LaserFit { recipe, lasers, are_turned: false }
     }
 
     /// Number of points of these rows that are reproduced if each offset is corrected by whole ticks of its own, as

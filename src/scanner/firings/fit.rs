@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::blur::Blur;
-use super::constants::{Constants, Determined, Moved, Point, TRIED, by_rows, near_axes};
+use super::constants::{Constants, LaserFit, Moved, Point, TRIED, by_rows, near_axes};
 use super::order::{FiringOrder, STEADY, VLP_16, lines, order, timed, vlp_16};
 use super::projection::{nearest, without_echoes};
 use super::{Build, Firings, Origin, Recipe, Timing};
@@ -123,7 +123,7 @@ fn fit_points<'m>(
     let mut best: Option<Candidate> = None;
     for nearest in blur.nearest(&points) {
         let (numbers, points) = beyond(nearest, &numbers, &points);
-        let found = Found { cloud, numbers, points, measured, coordinates, blur, nearest };
+        let found = ScanFacts { cloud, numbers, points, measured, coordinates, blur, nearest };
         let has_nearly_all = found.points.len() as f64 > NEARLY_ALL * measured as f64;
         let next = found.best();
         best = next.into_iter().chain(best).reduce(|a, b| if b.worth > a.worth { b } else { a });
@@ -161,7 +161,7 @@ fn beyond<'p, 'm>(
 }
 
 /// Facts about a scan from which the fit starts.
-pub(super) struct Found<'s> {
+pub(super) struct ScanFacts<'s> {
     pub cloud: &'s PointCloud,
     /// The record number of each point.
     pub numbers: Cow<'s, [usize]>,
@@ -182,10 +182,10 @@ struct Candidate {
     worth: f64,
 }
 
-impl Found<'_> {
+impl ScanFacts<'_> {
     /// The scanner that explains the scan best.
     fn best(&self) -> Option<Candidate> {
-        let on_axis = self.on_axis(Origin::default()).filter(|scanners| !scanners.is_empty());
+        let on_axis = self.starting_in_one_point(Origin::default()).filter(|scanners| !scanners.is_empty());
         let focal = || (!self.blur.is_any()).then(|| self.through_focal_point()).flatten();
         let elsewhere = || focal().or_else(|| self.off_axis());
         let scanners = on_axis.or_else(elsewhere).or_else(|| Some(vec![self.ouster()?]))?;
@@ -224,17 +224,17 @@ impl Found<'_> {
             let [focal, _] = origin.metres();
             let points: Vec<Point> = self.points.iter().map(|point| point.through(focal)).collect();
             let numbers = Cow::Borrowed(&self.numbers[..]);
-            let found = Found { cloud: self.cloud, numbers, points: points.into(), ..*self };
-            let scanners = found.on_axis(origin)?;
+            let found = ScanFacts { cloud: self.cloud, numbers, points: points.into(), ..*self };
+            let scanners = found.starting_in_one_point(origin)?;
             let (reproduced, all) = scanners.first()?.reproduced(&self.cloud.positions);
             (2 * reproduced > all).then_some((reproduced, scanners))
         });
         tried.max_by_key(|(reproduced, _)| *reproduced).map(|(_, scanners)| scanners)
     }
 
-    /// Scanners whose beams all start in one point and that may have measured the scan.
-    fn on_axis(&self, origin: Origin) -> Option<Vec<Firings>> {
-        let Found { points, coordinates, blur, .. } = self;
+    /// Scanners whose beams all start in `origin` and that may have measured the scan.
+    fn starting_in_one_point(&self, origin: Origin) -> Option<Vec<Firings>> {
+        let ScanFacts { points, coordinates, blur, .. } = self;
         let range_step_um = range_step(points.iter().map(|point| point.range), *blur)?;
         let Rows { elevations, of_points: rows, places, grid } = self.rows()?;
         let of_rows = by_rows(points, &rows, elevations.len(), TRIED);
@@ -275,8 +275,9 @@ impl Found<'_> {
             timing: Timing::Together,
             mounting: None,
         };
-        let mut on_axis = OnAxis { found: self, constants, build, lines, determined: Vec::new() };
-        Some([own, known].into_iter().flatten().flat_map(|order| on_axis.scanners(&order)).collect())
+        let mut from_one_point =
+            FromOnePoint { found: self, constants, build, lines, determined: Vec::new() };
+        Some([own, known].into_iter().flatten().flat_map(|order| from_one_point.scanners(&order)).collect())
     }
 
     /// The rows of the points, whose beams all start in one point.
@@ -354,16 +355,16 @@ struct Rows {
 }
 
 /// What determines the scanners whose beams all start in one point, but for the order in which their lasers fire.
-struct OnAxis<'f, 's> {
-    found: &'f Found<'s>,
+struct FromOnePoint<'f, 's> {
+    found: &'f ScanFacts<'s>,
     constants: Constants<'f>,
     build: Build,
     lines: Vec<u32>,
     /// What was determined for which offsets: several orders may have the same.
-    determined: Vec<(Vec<f64>, Option<Determined>)>,
+    determined: Vec<(Vec<f64>, Option<LaserFit>)>,
 }
 
-impl OnAxis<'_, '_> {
+impl FromOnePoint<'_, '_> {
     /// The scanners whose lasers fire in an order.
     fn scanners(&mut self, order: &FiringOrder) -> Vec<Firings> {
         let none = vec![0.0; self.constants.elevations.len()];
@@ -392,12 +393,12 @@ impl OnAxis<'_, '_> {
     /// The scanner whose lasers have these offsets and look ahead by these ticks, and whether each offset was corrected by
     /// whole ticks of its own.
     fn scanner(&mut self, order: &FiringOrder, offsets: &[f64], ahead: &[f64]) -> Option<(Firings, bool)> {
-        let OnAxis { constants, build, determined, .. } = self;
+        let FromOnePoint { constants, build, determined, .. } = self;
         if determined.iter().all(|(known, _)| known != offsets) {
             determined.push((offsets.to_vec(), constants.determine(build, offsets)));
         }
         let (_, found) = determined.iter().find(|(known, _)| known == offsets)?;
-        let Determined { recipe, lasers, are_turned } = found.clone()?;
+        let LaserFit { recipe, lasers, are_turned } = found.clone()?;
         let build = Build { recipe, timing: order.timing.clone(), ..build.clone() };
         let scanner =
             Firings::new(build, lasers, order.rows_of_slots.clone()).line_by_line(self.lines.clone());

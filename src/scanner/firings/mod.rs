@@ -49,7 +49,7 @@ use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::{BeamConstants, Coordinates, Hdl64, RangeImage, Return};
 use recipe::{Arithmetic, MOST_LOCATED, TurnTable};
-use timing::{Passed, Span};
+use timing::{BlockTimes, Span};
 
 /// Degrees per unit of a laser's constants.
 const ANGLE_UNIT: f64 = 1e-9;
@@ -113,7 +113,7 @@ impl Bearing {
 
 /// The measurements of lasers that are nearest to some points.
 #[derive(Clone, Copy, Debug)]
-struct Located<const N: usize> {
+struct Measurements<const N: usize> {
     /// Whole numbers; below 1 if there is no such measurement.
     steps: [f64; N],
     tick: [u32; N],
@@ -157,7 +157,7 @@ pub struct Firings {
     arithmetic: Vec<Arithmetic>,
     bearings: Vec<Bearing>,
     turn: Arc<TurnTable>,
-    passed: Passed,
+    passed: BlockTimes,
 }
 
 impl PartialEq for Firings {
@@ -177,7 +177,7 @@ impl Firings {
         let bearings = lasers.iter().map(|laser| Bearing::new(build.recipe, laser, build.origin)).collect();
         let turn = Arc::new(TurnTable::new(build.recipe, build.ticks));
         let (rows_of_lines, lags) = (Vec::new(), Vec::new());
-        let passed = Passed::new(&build.timing, lasers.len());
+        let passed = BlockTimes::new(&build.timing, lasers.len());
         Firings {
             build,
             lasers,
@@ -221,7 +221,7 @@ impl Firings {
 
     /// This scanner with another timing of its firings.
     fn with_timing(self, timing: Timing) -> Self {
-        let passed = Passed::new(&timing, self.rows());
+        let passed = BlockTimes::new(&timing, self.rows());
         Firings { build: Build { timing, ..self.build }, passed, ..self }
     }
 
@@ -239,7 +239,7 @@ impl Firings {
             slots_of_rows: vec![0],
             bearings: vec![Bearing::new(self.build.recipe, &laser, self.build.origin)],
             turn: self.turn.clone(),
-            passed: Passed::default(),
+            passed: BlockTimes::default(),
         }
     }
 
@@ -322,13 +322,14 @@ impl Firings {
     /// The measurement of this laser that is nearest to a position in metres, in steps and ticks; `None` if there
     /// is no such range.
     fn locate(&self, row: usize, position: [f64; 3]) -> Option<(u32, u32)> {
-        let Located { steps: [steps], tick: [tick], .. } = self.locate_all(&[row], &position.map(|v| [v]));
+        let Measurements { steps: [steps], tick: [tick], .. } =
+            self.locate_all(&[row], &position.map(|v| [v]));
         (steps >= 1.0 && steps < f64::from(MOST_LOCATED)).then_some((steps as u32, tick))
     }
 
     /// The same for several positions, each measured by a laser of its own.
     #[inline(always)]
-    fn locate_all<const N: usize>(&self, rows: &[usize; N], [x, y, z]: &[[f64; N]; 3]) -> Located<N> {
+    fn locate_all<const N: usize>(&self, rows: &[usize; N], [x, y, z]: &[[f64; N]; 3]) -> Measurements<N> {
         let bearing: [Bearing; N] = lanes(|i| self.bearings[rows[i]]);
         let flat: [f64; N] = lanes(|i| x[i] * x[i] + y[i] * y[i]);
         let azimuth = self.build.recipe.azimuths(x, y);
@@ -359,7 +360,7 @@ impl Firings {
             // More than a turn away, or not a number.
             tick = lanes(|i| (ticks[i] as i64).rem_euclid(i64::from(self.build.ticks)) as u32);
         }
-        Located {
+        Measurements {
             steps: lanes(|i| round_ties_even(metres[i] / step)),
             tick,
             aside: lanes(|i| azimuth[i] - ticks[i] * radians),
@@ -373,7 +374,7 @@ impl Firings {
         &self,
         rows: &[usize; N],
         [x, y, _]: &[[f64; N]; 3],
-        located: &Located<N>,
+        located: &Measurements<N>,
     ) -> [[f64; N]; 3] {
         let bearing: [Bearing; N] = lanes(|i| self.bearings[rows[i]]);
         let step = self.range_step_m();
@@ -398,7 +399,7 @@ impl Firings {
         let width = image.columns.len();
         let mut returns = Vec::with_capacity(image.records());
         let cells = image.steps.cells();
-        let span = |column: usize| Span::of(image.spans.get(column).copied().unwrap_or(0));
+        let span = |column: usize| Span::unpacked(image.spans.get(column).copied().unwrap_or(0));
         if self.rows_of_lines.is_empty() {
             for (column, &base) in image.columns.iter().enumerate() {
                 let span = span(column);

@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::constants::{Point, TRIED, best_of, exact_points};
-use super::fit::{Found, ON_CONE, elevations, range_step, strength};
+use super::fit::{ON_CONE, ScanFacts, elevations, range_step, strength};
 use super::order::{lines, order};
 use super::projection::{Place, nearest};
 use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
@@ -72,7 +72,7 @@ impl Maker {
     }
 }
 
-impl Found<'_> {
+impl ScanFacts<'_> {
     /// Scanners whose beams start away from the axis and that may have measured the scan: those of the manufacturer
     /// whose scanner reproduces the most points.
     pub(super) fn off_axis(&self) -> Option<Vec<Firings>> {

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::constants::{Point, TRIED, best_of, exact_points};
-use super::fit::{Found, GridShape, ON_CONE, RecordGrid, narrow_heaps, phase};
+use super::fit::{GridShape, ON_CONE, RecordGrid, ScanFacts, narrow_heaps, phase};
 use super::off_axis::{beam_line, line};
 use super::order::{lines, order};
 use super::projection::nearest;
@@ -27,7 +27,7 @@ struct Rows<'m> {
     grid: Option<RecordGrid>,
 }
 
-impl Found<'_> {
+impl ScanFacts<'_> {
     /// An Ouster whose beams start away from the axis: for a range r, elevation E, azimuth offset O and a beam that
     /// starts at a distance n from the axis, `rho^2 = ((r - n) cos E)^2 + 2 (r - n) cos E n cos O + n^2` and
     /// `z = (r - n) sin E + up`. In the first of these, early drivers have -n in place of n.

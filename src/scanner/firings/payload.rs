@@ -5,7 +5,7 @@ use super::timing::{MOST_BLOCKS, WHOLE};
 use super::{Build, Firings, Laser, Mounting, Origin, Recipe, Timing};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{
-    read_signed, read_unsigned, read_within, saturated, write_signed, write_unsigned,
+    read_f64, read_signed, read_unsigned, read_within, saturated, write_signed, write_unsigned,
 };
 use crate::scanner::{Coordinates, MOST_RANGE_STEP_UM, MOST_TICKS};
 
@@ -127,9 +127,7 @@ fn read_mounting(bytes: &mut &[u8]) -> Result<Option<Mounting>> {
         .ok_or_else(|| Error::unsupported(format!("scanner: unknown order of a mounting {order}")))?;
     let mut rows = [[0.0; 4]; 3];
     for number in rows.as_flattened_mut() {
-        let (first, rest) =
-            bytes.split_first_chunk().ok_or_else(|| Error::corrupt("scanner is cut short"))?;
-        (*number, *bytes) = (f64::from_le_bytes(*first), rest);
+        *number = read_f64(bytes, "scanner")?;
         // False for NaN too.
         let is_possible = number.abs() <= MOST_MOUNTING;
         if !is_possible {

@@ -4,7 +4,7 @@ use pulp::NullaryFnOnce;
 
 use super::blur::Blur;
 use super::timing::Span;
-use super::{Firings, Located};
+use super::{Firings, Measurements};
 use crate::ground::angle::{self, shorter_way};
 use crate::ground::error::Limits;
 use crate::ground::grid::Grid;
@@ -72,7 +72,7 @@ impl<'f> Sight<'f> {
 
     /// The rows of the lasers that are nearest to some positions, and their measurements.
     #[inline(always)]
-    fn find<const N: usize>(&self, metres: &[[f64; N]; 3]) -> ([usize; N], Located<N>) {
+    fn find<const N: usize>(&self, metres: &[[f64; N]; 3]) -> ([usize; N], Measurements<N>) {
         let [x, y, z] = metres;
         // Approximately the direction of the beam: its azimuth offset is small.
         let ahead: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt() - self.along);
@@ -93,7 +93,7 @@ impl<'f> Sight<'f> {
     }
 }
 
-impl<const N: usize> Located<N> {
+impl<const N: usize> Measurements<N> {
     /// The return of one of the points, if there is such a range; not yet in a column.
     #[inline(always)]
     fn found(&self, row: usize, point: usize) -> Option<Return> {
@@ -221,7 +221,7 @@ impl Firings {
                 ..Projection::default()
             };
         }
-        let spans = columns.iter().map(|column| column.span.kept());
+        let spans = columns.iter().map(|column| column.span.packed());
         let spans: Vec<u32> = if self.build.timing.is_interpolated() { spans.collect() } else { Vec::new() };
         let mut image = RangeImage::new(self.rows(), columns.iter().map(|column| column.tick).collect());
         image.spans = spans;
@@ -346,7 +346,7 @@ impl Firings {
         self.fill_in_ticks(&mut columns);
         let mut image = RangeImage::new(self.rows(), columns.iter().map(|column| column.tick).collect());
         if self.build.timing.is_interpolated() {
-            image.spans = columns.iter().map(|column| column.span.kept()).collect();
+            image.spans = columns.iter().map(|column| column.span.packed()).collect();
         }
         image.is_full = true;
         let mut point_of_cell = Grid::new(self.rows(), width);

@@ -101,8 +101,9 @@ impl Recipe {
         Self::ALL.into_iter().find(|recipe| *recipe as u32 == number)
     }
 
-    /// Whether it is used for scanners whose beams all start in one point.
-    pub(super) fn is_on_axis(self) -> bool {
+    /// Whether it may be that of a scanner whose beams all start in one point, be it beside the axis, as some of
+    /// RoboSense's do.
+    pub(super) fn may_start_in_one_point(self) -> bool {
         self != Recipe::LsLidar && !self.measures_from_axis() && !self.starts_in_beam()
     }
 
@@ -148,13 +149,15 @@ impl Recipe {
         !matches!(self, Recipe::DoubleYAhead | Recipe::DoubleXAhead | Recipe::SingleRangeXAhead)
     }
 
-    /// The program, as a description.
+    /// The program, as a description; no two are alike.
     pub fn program(self) -> &'static str {
         match self {
             Recipe::VelodyneRos => "arithmetic of ROS velodyne_pointcloud",
             Recipe::DoubleYAhead => "double precision with y ahead (PCL, VeloView, Hesai)",
             Recipe::DoubleXAhead => "double precision with x ahead",
-            Recipe::SingleRangeXAhead => "arithmetic of Ouster's SDK",
+            Recipe::SingleRangeXAhead => {
+                "double precision of ranges in single precision with x ahead (Ouster)"
+            }
             Recipe::RoboSense => "arithmetic of RoboSense's rs_driver",
             Recipe::RoboSenseEarly => "arithmetic of RoboSense's early rs_driver",
             Recipe::LsLidar => "arithmetic of LSLiDAR's driver",
@@ -168,7 +171,8 @@ impl Recipe {
             Recipe::OusterEarly => "arithmetic of Ouster's ROS driver of 2021",
             Recipe::Apollo => "arithmetic of Apollo's driver for Velodyne",
             Recipe::Once => "arithmetic of the ONCE data set",
-            Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => "arithmetic of velodyne-decoder",
+            Recipe::VelodyneDecoder => "arithmetic of velodyne-decoder",
+            Recipe::VelodyneDecoderHdl32e => "arithmetic of velodyne-decoder for the HDL-32E",
         }
     }
 

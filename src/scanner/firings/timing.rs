@@ -46,7 +46,7 @@ impl Timing {
     /// The tick at a place in a block, counted slot by slot and firing by firing. The block begins at the tick
     /// `base`, `span` ticks before the next one. The result is not reduced to the first turn.
     #[inline(always)]
-    pub fn tick(&self, passed: &Passed, place: usize, base: u32, span: u32) -> u32 {
+    pub fn tick(&self, passed: &BlockTimes, place: usize, base: u32, span: u32) -> u32 {
         match self {
             Timing::Together => base,
             Timing::Vlp16 => {
@@ -61,18 +61,18 @@ impl Timing {
 
 /// How much of a block has passed at each slot of its firings, firing by firing.
 #[derive(Clone, Debug, Default)]
-pub struct Passed {
+pub struct BlockTimes {
     /// As a fraction of the block.
     pub parts: Vec<f64>,
     /// In microseconds; only for a VLP-16.
     pub times: Vec<f32>,
 }
 
-impl Passed {
+impl BlockTimes {
     /// For a scanner with this timing and `rows` lasers.
     pub fn new(timing: &Timing, rows: usize) -> Self {
         match timing {
-            Timing::Together => Passed::default(),
+            Timing::Together => BlockTimes::default(),
             Timing::Vlp16 => {
                 let [of_slot, of_firing, _] = VLP_16_TIMES;
                 let places = || (0..2 * rows).map(|place| ((place % rows) as f32, (place / rows) as f32));
@@ -81,11 +81,11 @@ impl Passed {
                 let part = |(slot, firing): (f32, f32)| {
                     (f64::from(slot) * of_slot + f64::from(firing) * of_firing) / of_block
                 };
-                Passed { parts: places().map(part).collect(), times: places().map(time).collect() }
+                BlockTimes { parts: places().map(part).collect(), times: places().map(time).collect() }
             }
             Timing::Parts(parts) => {
                 let parts = parts.iter().map(|&part| f64::from(part) / f64::from(WHOLE));
-                Passed { parts: parts.collect(), times: Vec::new() }
+                BlockTimes { parts: parts.collect(), times: Vec::new() }
             }
         }
     }
@@ -102,12 +102,12 @@ pub struct Span {
 
 impl Span {
     /// Unpacks a value of the range image.
-    pub fn of(kept: u32) -> Self {
-        Span { ticks: kept >> 1, firing: kept & 1 }
+    pub fn unpacked(packed: u32) -> Self {
+        Span { ticks: packed >> 1, firing: packed & 1 }
     }
 
     /// Packs it into a value of the range image.
-    pub fn kept(self) -> u32 {
+    pub fn packed(self) -> u32 {
         self.ticks << 1 | self.firing
     }
 }

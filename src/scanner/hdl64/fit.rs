@@ -296,8 +296,8 @@ struct System {
 }
 
 impl System {
-    /// The equations of the coordinates that the formula misses by more than `slack` metres, by which their errors count
-    /// less, of the points that it misses by less than `reach` metres along all axes.
+    /// The equations of the points that are within `reach` metres of the formula along all axes. Of these, only the
+    /// coordinates count that are off by more than `slack` metres, each with an error that is smaller by `slack`.
     fn of(formula: &FitFormula, points: &[Point], reach: f64, slack: f64) -> Self {
         dispatch(Equations { formula, points, reach, slack })
     }

@@ -123,11 +123,8 @@ impl Turn {
     pub fn apply(&self, positions: &mut [[f32; 3]]) {
         let mover = Mover::new(&self.motion);
         for position in positions.iter_mut() {
-            let moved = mover.moved(position.map(f64::from)).map(|metres| metres as f32);
-            // NaNs are not changed: processors differ in the bits of a NaN that they compute.
-            if moved.iter().chain(&*position).all(|metres| !metres.is_nan()) {
-                *position = moved;
-            }
+            *position =
+                unless_nan(position, mover.moved(position.map(f64::from)).map(|metres| metres as f32));
         }
         put_right(positions, &self.misses);
     }
@@ -154,10 +151,24 @@ fn find_misses(
 fn put_right(positions: &mut [[f32; 3]], misses: &[Miss]) {
     for miss in misses {
         if let Some(position) = positions.get_mut(miss.point as usize) {
-            *position = std::array::from_fn(|axis| {
-                let unit = Coordinates::unit_of_float(position[axis]);
-                Coordinates::Float32.value(unit.wrapping_add(miss.units[axis]), 0.0)
-            });
+            *position = corrected(*position, &miss.units);
         }
     }
+}
+
+/// A position, moved by this number of units along each axis.
+fn corrected(position: [f32; 3], units: &[i64; 3]) -> [f32; 3] {
+    if *units == [0; 3] {
+        return position;
+    }
+    std::array::from_fn(|axis| {
+        let unit = Coordinates::unit_of_float(position[axis]);
+        Coordinates::Float32.value(unit.wrapping_add(units[axis]), 0.0)
+    })
+}
+
+/// A point after compensation; but the measured point itself if either has a NaN, as processors differ in the bits of a
+/// NaN that they compute.
+fn unless_nan(measured: &[f32; 3], moved: [f32; 3]) -> [f32; 3] {
+    if moved.iter().chain(measured).any(|metres| metres.is_nan()) { *measured } else { moved }
 }

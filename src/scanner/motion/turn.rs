@@ -7,6 +7,7 @@ use crate::ground::angle;
 use crate::ground::error::{Error, Result};
 use crate::ground::lanes::lanes;
 use crate::ground::rounding::round_ties_even;
+use crate::ground::varint::read_f64;
 
 /// The motion of the scanner in one turn.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -42,9 +43,7 @@ impl Motion {
     pub(super) fn read_from(input: &mut &[u8], what: &str) -> Result<Self> {
         let mut values = [0.0; 6];
         for value in &mut values {
-            let (first, rest) =
-                input.split_first_chunk().ok_or_else(|| Error::corrupt(format!("{what} is cut short")))?;
-            (*value, *input) = (f64::from_le_bytes(*first), rest);
+            *value = read_f64(input, what)?;
         }
         let [rx, ry, rz, x, y, z] = values;
         let motion = Motion { rotation: [rx, ry, rz], translation: [x, y, z] };

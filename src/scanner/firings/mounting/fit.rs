@@ -249,7 +249,7 @@ impl Seen {
         // Recipes that differ in a few roundings only have the same direction.
         let similar = Recipe::ALL
             .into_iter()
-            .filter(|recipe| recipe.is_on_axis() && recipe.axes() == best.recipe.axes());
+            .filter(|recipe| recipe.may_start_in_one_point() && recipe.axes() == best.recipe.axes());
         let few = thinned(&self.points, SAMPLE).copied().collect();
         let few = Seen { points: few, build: self.build.clone(), lasers: self.lasers.clone(), ..self };
         let similar = similar.filter_map(|recipe| {

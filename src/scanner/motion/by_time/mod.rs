@@ -18,7 +18,7 @@ mod rough;
 
 pub use find::{fit, undo};
 
-use super::{Miss, Motion, Mover, find_misses, put_right};
+use super::{Miss, Motion, Mover, find_misses, put_right, unless_nan};
 use crate::scan::{Channel, Number};
 
 /// The moment to which points were moved.
@@ -62,9 +62,7 @@ impl Stamped {
             if part.to_bits() != of_last.0.to_bits() {
                 of_last = (part, mover.at(part));
             }
-            let moved = of_last.1.moved(point.map(f64::from)).map(|metres| metres as f32);
-            // NaNs are not changed: processors differ in the bits of a NaN that they compute.
-            if moved.iter().chain(&point).all(|metres| !metres.is_nan()) { moved } else { point }
+            unless_nan(&point, of_last.1.moved(point.map(f64::from)).map(|metres| metres as f32))
         });
         moved.collect()
     }

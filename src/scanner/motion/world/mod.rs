@@ -26,6 +26,7 @@ mod tests;
 
 pub use undo::{measured, undo};
 
+use super::{corrected, unless_nan};
 use crate::scanner::Coordinates;
 
 /// Records of a firing.
@@ -282,11 +283,11 @@ impl World {
         let mut corrections = Vec::new();
         for (record, (measured, position)) in measured.iter().zip(positions).enumerate() {
             let world = formula.world(record, measured);
-            if near(position, &start(measured, formula.file(world, &[0; 2]))) {
+            if near(position, &unless_nan(measured, formula.file(world, &[0; 2]))) {
                 continue;
             }
             let steps = formula.steps_to(&world, position);
-            let given = start(measured, formula.file(world, &steps));
+            let given = unless_nan(measured, formula.file(world, &steps));
             let units = std::array::from_fn(|axis| unit(position[axis]) - unit(given[axis]));
             corrections.push(Correction { record: record as u32, steps, units });
         }
@@ -301,24 +302,9 @@ impl World {
         for (record, position) in positions.iter_mut().enumerate() {
             let found = corrections.next_if(|correction| correction.record as usize == record);
             let correction = found.copied().unwrap_or_default();
-            let given = start(position, formula.file(formula.world(record, position), &correction.steps));
+            let given =
+                unless_nan(position, formula.file(formula.world(record, position), &correction.steps));
             *position = corrected(given, &correction.units);
         }
     }
-}
-
-/// The value to be corrected: that of the formula, or, if it is NaN, the measured point itself, as processors
-/// differ in the bits of a NaN that they compute.
-fn start(measured: &[f32; 3], given: [f32; 3]) -> [f32; 3] {
-    if given.iter().any(|metres| metres.is_nan()) { *measured } else { given }
-}
-
-fn corrected(position: [f32; 3], units: &[i64; 3]) -> [f32; 3] {
-    if *units == [0; 3] {
-        return position;
-    }
-    std::array::from_fn(|axis| {
-        let unit = Coordinates::unit_of_float(position[axis]);
-        Coordinates::Float32.value(unit.wrapping_add(units[axis]), 0.0)
-    })
 }

@@ -1,10 +1,13 @@
 //! The section of a frame that describes how its points were moved through a world frame. FORMAT.md 8.15.
 
-use super::{Correction, Formula, Knot, Pose, SLOTS, Times, World, start};
+use super::{Correction, Formula, Knot, Pose, SLOTS, Times, World};
 use crate::entropy::{AdaptiveBit, ArithmeticDecoder, ArithmeticEncoder, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
-use crate::ground::varint::{read_signed, read_within, unzigzag, write_signed, write_unsigned, zigzag};
+use crate::ground::varint::{
+    read_f64, read_signed, read_within, unzigzag, write_signed, write_unsigned, zigzag,
+};
 use crate::scanner::motion::units::UnitModel;
+use crate::scanner::motion::unless_nan;
 
 /// The section's name in errors.
 const WHAT: &str = "world";
@@ -126,10 +129,7 @@ fn read_pose(input: &mut &[u8], last: &mut Pose) -> Result<Pose> {
 }
 
 fn read_value(input: &mut &[u8], most: f64) -> Result<f64> {
-    let (first, rest) =
-        input.split_first_chunk().ok_or_else(|| Error::corrupt(format!("{WHAT} is cut short")))?;
-    *input = rest;
-    let value = f64::from_le_bytes(*first);
+    let value = read_f64(input, WHAT)?;
     // False for NaN too.
     if value.abs() <= most { Ok(value) } else { Err(Error::corrupt(format!("{WHAT}: {value} is too large"))) }
 }
@@ -204,7 +204,7 @@ impl Models {
             *steps = unzigzag(self.steps[axis].code(coder, zigzag(*steps)));
         }
         let world = formula.world(correction.record as usize, measured);
-        let start = start(measured, formula.file(world, &correction.steps));
+        let start = unless_nan(measured, formula.file(world, &correction.steps));
         self.units.code(coder, &start, &mut correction.units);
     }
 }
