@@ -14,6 +14,7 @@ use lidarpc::internals::entropy::ArithmeticEncoder;
 use lidarpc::internals::ground::grid::Grid;
 use lidarpc::internals::models::{
     CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeContext, RangeModel,
+    RangeScale,
 };
 use lidarpc::internals::scanner::Hdl64;
 use lidarpc::internals::scanner::hdl64::{ColumnModel, fit};
@@ -66,8 +67,7 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, scanner: &Hdl64) {
                 occupancy: &occupancy,
                 intensity: &no_intensity,
                 reference: None,
-                range_bits: EXACT_RANGE_BITS,
-                bin: 1,
+                scale: RangeScale { bits: EXACT_RANGE_BITS, bin: 1 },
             };
             model.code(&mut encoder(), &known, steps);
         });

@@ -34,8 +34,9 @@ pub use packed::{
     PACKED_INTENSITY_CONTEXTS, PACKED_RANGE_CONTEXTS, code_packed_intensities, code_packed_ranges,
 };
 pub use points::{Analysis, PointModel, PointTrail, TrailSizes};
-pub(crate) use range::Bins;
-pub use range::{KnownCells, RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens, start_tables};
+pub use range::{
+    KnownCells, RANGE_CONTEXTS, RangeContext, RangeModel, RangeScale, RangeTokens, start_tables,
+};
 
 #[cfg(test)]
 mod tests;

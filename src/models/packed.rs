@@ -8,7 +8,7 @@ use crate::entropy::TokenCoder;
 use crate::ground::lanes::dispatch;
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::models::range::TYPICAL_RANGE;
-use crate::models::{Bins, IntensityScale};
+use crate::models::{IntensityScale, RangeScale};
 
 /// Numbers in a block: larger blocks save widths, smaller ones waste less if a single number is large.
 const BLOCK: usize = 8;
@@ -29,26 +29,25 @@ pub const PACKED_RANGE_CONTEXTS: usize = WIDTH_CONTEXTS;
 /// Number of contexts of a section of intensities.
 pub const PACKED_INTENSITY_CONTEXTS: usize = LEAST + MOST_LEVEL_WIDTH as usize / 2 + 1;
 
-/// Codes ranges, in steps, in the order of the cells: the bins, `bin` steps wide and centred on the range
-/// before, that contain them. As in [`RangeTokens`](super::RangeTokens), ranges are from 1 to 2^`range_bits`
-/// - 1 and are decoded as the middles of their bins.
-pub fn code_packed_ranges<C: TokenCoder>(coder: &mut C, (range_bits, bin): (u32, u32), ranges: &mut [u32]) {
-    let most = (1 << range_bits) - 1;
-    if bin == 1 {
+/// Codes ranges, in steps, in the order of the cells: the bins, centred on the range before, that contain
+/// them. As in [`RangeTokens`](super::RangeTokens), they are decoded as the middles of their bins.
+pub fn code_packed_ranges<C: TokenCoder>(coder: &mut C, scale: RangeScale, ranges: &mut [u32]) {
+    let most = (1 << scale.bits) - 1;
+    if scale.bin == 1 {
         let range = |before, miss| {
             let range = differing(before, miss);
             if (1..=most).contains(&range) { range } else { cut(range, most) }
         };
         return code_values(coder, u32::from(TYPICAL_RANGE), ranges, difference, range);
     }
-    let bins = |before: u32| Bins::around(i64::from(before), i64::from(bin));
+    let bins = |before: u32| scale.bins_around(i64::from(before));
     let miss = |before, range| {
         let bins = bins(before);
         difference(0, (bins.of(i64::from(range)) - bins.central) as u32)
     };
     let range = |before, miss| {
         let bins = bins(before);
-        bins.middle(bins.central + i64::from(differing(0, miss) as i32), range_bits) as u32
+        bins.middle(bins.central + i64::from(differing(0, miss) as i32), scale.bits) as u32
     };
     code_values(coder, u32::from(TYPICAL_RANGE), ranges, miss, range);
 }

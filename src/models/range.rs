@@ -23,7 +23,7 @@ use crate::entropy::{BitCoder, Counter, Logistic, MixedBits};
 use crate::ground::grid::Grid;
 use crate::inter::Reference;
 use back::{Back, ReferenceErrors, Surroundings};
-pub(crate) use bins::Bins;
+pub use bins::RangeScale;
 use deep::{DeepModel, DeepSite, Referred};
 use errors::ErrorTrack;
 use halving::Halving;
@@ -131,10 +131,8 @@ pub struct RangeContext<'a> {
     pub intensity: &'a Grid<u16>,
     /// The prediction from an earlier frame.
     pub reference: Option<&'a Reference>,
-    /// Ranges are from 1 to 2^`range_bits` - 1 steps.
-    pub range_bits: u32,
-    /// Bin width in steps: ranges are coded to within half a bin. 1: exactly.
-    pub bin: u32,
+    /// How ranges are coded.
+    pub scale: RangeScale,
 }
 
 /// A coded range, and its predictions, in steps.
@@ -188,7 +186,6 @@ impl RangeModel {
                 let levels_near = (levels, levels_above);
                 let site = Site::of(levels_near, window.around(column), &errors, &self.error_levels, column);
                 let back = known.reference.and_then(|reference| Back::at(reference, &reference_errors, cell));
-                let axis = (known.range_bits, i64::from(known.bin));
                 let hint = self.residuals.hint(&rows, column, Classes::of(levels, column));
                 let (offset, range) = (f64::from(hint.offset), i64::from(steps[cell]));
                 let coded = match (&mut self.deep, &back, &mut self.with_reference) {
@@ -198,13 +195,13 @@ impl RangeModel {
                             back: back.clone(),
                         });
                         let site = DeepSite { site: &site, cell, referred };
-                        deep.code(coder, (&self.shape, self.tables), axis, (&site, offset), range)
+                        deep.code(coder, (&self.shape, self.tables), known.scale, (&site, offset), range)
                     }
                     (None, Some(back), Some(learned)) => {
                         let parts = (&self.shape, self.tables, &mut self.bits);
-                        learned.code(coder, parts, axis, (&site, offset), back, range)
+                        learned.code(coder, parts, known.scale, (&site, offset), back, range)
                     }
-                    _ => self.code_alone(coder, axis, (&site, offset), range),
+                    _ => self.code_alone(coder, known.scale, (&site, offset), range),
                 };
                 steps[cell] = coded.range as u32;
                 let range = coded.range as f64;
@@ -224,7 +221,7 @@ impl RangeModel {
     fn code_alone<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        (range_bits, bin): (u32, i64),
+        scale: RangeScale,
         (site, hint): (&Site, f64),
         range: i64,
     ) -> Coded {
@@ -232,13 +229,13 @@ impl RangeModel {
         let fit = within_reach(fits.predict(&site.features));
         let hinted = within_reach(fit + hint);
         let values = site.predictions(hinted);
-        let base = site.base(hinted, range_bits);
-        let bins = Bins::around(base, bin);
+        let base = site.base(hinted, scale.bits);
+        let bins = scale.bins_around(base);
         let mut halving = Halving {
             coder,
             shape: &self.shape,
             tables: self.tables,
-            range_bits,
+            range_bits: scale.bits,
             bins,
             mixture: &self.mixture,
             predicted: self.mixture.place(&self.shape, values, [site.context]),
@@ -248,12 +245,12 @@ impl RangeModel {
             reference_counters: &mut [],
             reference_views: [],
             bin: bins.of(range),
-            interval: Interval::whole(bins.all(range_bits)),
+            interval: Interval::whole(bins.all(scale.bits)),
             odds: 0.0,
         };
         halving.code();
         let Halving { predicted, interval, .. } = halving;
-        let range = bins.middle(interval.low, range_bits);
+        let range = bins.middle(interval.low, scale.bits);
         self.mixture.learn(&predicted, &interval, range as f32);
         site.learn(fits, &site.features, fit, range as f64);
         Coded { range, fit, hinted, base }
@@ -267,7 +264,7 @@ impl WithReference {
         &mut self,
         coder: &mut C,
         (shape, tables, bits): (&ErrorShape, &'static Logistic, &mut RangeBits),
-        (range_bits, bin): (u32, i64),
+        scale: RangeScale,
         (site, hint): (&Site, f64),
         back: &Back,
         range: i64,
@@ -281,15 +278,15 @@ impl WithReference {
         let mut values = [0.0; ALL_PREDICTORS];
         values[..PREDICTORS].copy_from_slice(&site.predictions(hinted));
         values[PREDICTORS..].copy_from_slice(&[back.same as f32, back.moved as f32]);
-        let base = site.base(hinted, range_bits);
-        let bins = Bins::around(base, bin);
+        let base = site.base(hinted, scale.bits);
+        let bins = scale.bins_around(base);
         let [same, moved] = [back.same, back.moved].map(|range| range - base as f64);
         let context = back.level * CONTEXTS + site.context;
         let mut halving = Halving {
             coder,
             shape,
             tables,
-            range_bits,
+            range_bits: scale.bits,
             bins,
             mixture: &self.mixture,
             predicted: self.mixture.place(shape, values, [context]),
@@ -302,12 +299,12 @@ impl WithReference {
                 pair(same, moved),
             ],
             bin: bins.of(range),
-            interval: Interval::whole(bins.all(range_bits)),
+            interval: Interval::whole(bins.all(scale.bits)),
             odds: 0.0,
         };
         halving.code();
         let Halving { predicted, interval, .. } = halving;
-        let range = bins.middle(interval.low, range_bits);
+        let range = bins.middle(interval.low, scale.bits);
         self.mixture.learn(&predicted, &interval, range as f32);
         site.learn(fits, &features, fit, range as f64);
         Coded { range, fit, hinted, base }

@@ -88,13 +88,13 @@ proptest! {
         let same = steps.map(before);
         let levels = steps.map(|range| (range % 129) as u16);
         let known = KnownCells { occupancy: &occupancy, fitted, expected: refers.then_some(&same), levels: &levels };
-        let axis = (range_bits, bin);
+        let scale = RangeScale { bits: range_bits, bin };
         let (encoded, decoded) = round_trip(
             RANGE_CONTEXTS,
             &steps,
             &Grid::new(steps.rows(), steps.columns()),
-            |coder, steps| RangeTokens::default().code(coder, &known, axis, steps),
-            |coder, steps| RangeTokens::default().code(coder, &known, axis, steps),
+            |coder, steps| RangeTokens::default().code(coder, &known, scale, steps),
+            |coder, steps| RangeTokens::default().code(coder, &known, scale, steps),
         );
         prop_assert_eq!(&encoded, &decoded);
         for (range, decoded) in steps.cells().iter().zip(decoded.cells()) {
@@ -118,8 +118,8 @@ proptest! {
         let same = grid(&before[..tokens_len]);
         let levels = same.map(|range| (range % 129) as u16);
         let known = KnownCells { occupancy: &occupancy, fitted, expected: refers.then_some(&same), levels: &levels };
-        let axis = (range_bits, bin);
-        RangeTokens::default().code(&mut coder, &known, axis, &mut steps);
+        let scale = RangeScale { bits: range_bits, bin };
+        RangeTokens::default().code(&mut coder, &known, scale, &mut steps);
         prop_assert!(steps.cells().iter().all(|range| (1..1 << range_bits).contains(range)));
     }
 
@@ -164,13 +164,13 @@ proptest! {
         let most = (1 << range_bits) - 1;
         let range_of = |range: &u32| 1 + (if smooth { 5000 + range % 50 } else { *range }) % most;
         let ranges: Vec<u32> = ranges.iter().map(range_of).collect();
-        let axis = (range_bits, bin);
+        let scale = RangeScale { bits: range_bits, bin };
         let (encoded, decoded) = round_trip(
             PACKED_RANGE_CONTEXTS,
             &ranges,
             &vec![0; ranges.len()],
-            |coder, ranges| code_packed_ranges(coder, axis, ranges),
-            |coder, ranges| code_packed_ranges(coder, axis, ranges),
+            |coder, ranges| code_packed_ranges(coder, scale, ranges),
+            |coder, ranges| code_packed_ranges(coder, scale, ranges),
         );
         prop_assert_eq!(&encoded, &decoded);
         prop_assert!(ranges.iter().zip(&decoded).all(|(range, decoded)| range.abs_diff(*decoded) <= bin / 2));
@@ -183,7 +183,7 @@ proptest! {
         bin in prop_oneof![Just(1u32), 1u32..1 << 20],
     ) {
         let mut ranges = [0; 99];
-        code_packed_ranges(&mut Given(tokens.into_iter()), (range_bits, bin), &mut ranges);
+        code_packed_ranges(&mut Given(tokens.into_iter()), RangeScale { bits: range_bits, bin }, &mut ranges);
         prop_assert!(ranges.iter().all(|range| (1..1 << range_bits).contains(range)));
     }
 

@@ -19,7 +19,7 @@ use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::{self, Reference};
 use crate::models::{
-    KnownCells, PACKED_RANGE_CONTEXTS, RANGE_CONTEXTS, RangeContext, RangeModel, RangeTokens,
+    KnownCells, PACKED_RANGE_CONTEXTS, RANGE_CONTEXTS, RangeContext, RangeModel, RangeScale, RangeTokens,
     code_packed_ranges, start_tables,
 };
 use crate::scanner::Scanner;
@@ -51,13 +51,13 @@ impl RangeModels {
             return Ok(());
         };
         let Part { occupancy, cells, reference, .. } = *part;
-        let axis = (range_bits, bin);
+        let scale = RangeScale { bits: range_bits, bin };
         sections.report().predicted += 4 * cells.len() as u64;
         match modelling.parts().range {
             RangeModelling::Packed => {
                 sections.tokens(SectionKind::Range, PACKED_RANGE_CONTEXTS, &mut self.packed, |coder| {
                     let mut ranges = if S::ENCODES { steps.at(cells) } else { vec![0; cells.len()] };
-                    code_packed_ranges(coder, axis, &mut ranges);
+                    code_packed_ranges(coder, scale, &mut ranges);
                     steps.fill(cells, &ranges);
                 })
             }
@@ -67,7 +67,7 @@ impl RangeModels {
                 let model = &mut self.tokens;
                 sections.tokens(SectionKind::Range, RANGE_CONTEXTS, &mut self.token_tables, |coder| {
                     let expected = expected.as_ref();
-                    model.code(coder, &KnownCells { occupancy, fitted, expected, levels }, axis, steps);
+                    model.code(coder, &KnownCells { occupancy, fitted, expected, levels }, scale, steps);
                 })
             }
             mixed_or_deep => {
@@ -75,7 +75,7 @@ impl RangeModels {
                 if mixed_or_deep == RangeModelling::Deep {
                     model.use_deep();
                 }
-                let known = RangeContext { occupancy, intensity: levels, reference, range_bits, bin };
+                let known = RangeContext { occupancy, intensity: levels, reference, scale };
                 sections.section(SectionKind::Range, true, |coder| {
                     model.code(coder, &known, steps);
                     Ok(())

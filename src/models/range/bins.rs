@@ -2,6 +2,23 @@
 //! prediction, as in JPEG-LS (ITU-T T.87, A.4), so that accurately predicted ranges cost next to nothing.
 //! FORMAT.md 8.6, "Bins".
 
+/// The ranges that a frame may have, and how accurately they are coded.
+#[derive(Clone, Copy, Debug)]
+pub struct RangeScale {
+    /// Ranges are from 1 to 2^`bits` - 1 steps.
+    pub bits: u32,
+    /// The width of a bin in steps; 1: ranges are coded exactly.
+    pub bin: u32,
+}
+
+impl RangeScale {
+    /// Bins such that `base`, a range in steps, is in the middle of one.
+    #[inline]
+    pub fn bins_around(self, base: i64) -> Bins {
+        Bins::around(base, i64::from(self.bin))
+    }
+}
+
 /// Bins of equal width. Bin `i` holds the ranges from `origin + i * width` on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bins {
@@ -16,7 +33,7 @@ pub struct Bins {
 impl Bins {
     /// Creates bins such that `base`, a range in steps, is in the middle of one.
     #[inline]
-    pub fn around(base: i64, width: i64) -> Self {
+    fn around(base: i64, width: i64) -> Self {
         if width == 1 {
             // The same result without divisions.
             return Bins { width, origin: 0, central: base };

@@ -9,7 +9,7 @@ mod fits;
 mod halving;
 mod site;
 
-use super::bins::Bins;
+use super::bins::RangeScale;
 use super::halving::{code_bin, first_bucket};
 use super::mixture::{Interval, Mixture, Rates};
 use super::{ACTIVITY_LEVELS, CONTEXTS, Coded, ERROR_LEVELS, NODES, REFERENCE_LEVELS, first_scale};
@@ -106,14 +106,14 @@ impl DeepModel {
         &mut self,
         coder: &mut C,
         (shape, tables): (&ErrorShape, &'static Logistic),
-        (range_bits, bin): (u32, i64),
+        scale: RangeScale,
         (deep_site, hint): (&DeepSite, f64),
         range: i64,
     ) -> Coded {
         let DeepSite { site, cell: (_, column), referred } = deep_site;
         let fitted = self.fits.predict(site, *column, referred.as_ref(), hint);
-        let base = site.base(fitted.hinted, range_bits);
-        let bins = Bins::around(base, bin);
+        let base = site.base(fitted.hinted, scale.bits);
+        let bins = scale.bins_around(base);
         let contexts = SetContexts::of(deep_site);
         let values = deep_site.predictions(&fitted);
         let predicted = self.mixture.place(shape, values, deep_site.mixture_contexts(&contexts));
@@ -121,21 +121,21 @@ impl DeepModel {
             coder,
             shape,
             tables,
-            range_bits,
+            range_bits: scale.bits,
             bins,
             mixture: &self.mixture,
             predicted: &predicted,
-            interval: Interval::whole(bins.all(range_bits)),
+            interval: Interval::whole(bins.all(scale.bits)),
             bits: &mut self.bits,
             views: deep_site.views(&contexts, &fitted, base as f64),
             contexts,
             bin: bins.of(range),
             odds: 0.0,
         };
-        let scale = self.mixture.scale_of_fit(&predicted);
-        code_bin(&mut halving, bins.central, first_bucket(scale / bins.width as f32));
+        let scale_of_fit = self.mixture.scale_of_fit(&predicted);
+        code_bin(&mut halving, bins.central, first_bucket(scale_of_fit / bins.width as f32));
         let DeepHalving { interval, .. } = halving;
-        let range = bins.middle(interval.low, range_bits);
+        let range = bins.middle(interval.low, scale.bits);
         self.mixture.learn(&predicted, &interval, range as f32);
         self.fits.learn(site, &fitted, range as f64);
         Coded { range, fit: fitted.blend, hinted: fitted.hinted, base }
@@ -144,7 +144,7 @@ impl DeepModel {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{RangeContext, RangeModel};
+    use super::super::{RangeContext, RangeModel, RangeScale};
     use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
     use crate::ground::grid::Grid;
     use crate::ground::random::Rng;
@@ -186,8 +186,7 @@ mod tests {
                 occupancy: &frame.map(|&steps| steps > 0),
                 intensity: &frame.map(|&steps| (steps / 30 % 100) as u16),
                 reference: reference.as_ref(),
-                range_bits: 16,
-                bin,
+                scale: RangeScale { bits: 16, bin },
             };
             let mut encoder = ArithmeticEncoder::default();
             let mut encoded = frame.clone();

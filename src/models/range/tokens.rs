@@ -13,7 +13,7 @@ use crate::entropy::TokenCoder;
 use crate::ground::grid::Grid;
 use crate::ground::lanes::dispatch;
 use crate::ground::varint::{unzigzag, zigzag};
-use crate::models::Bins;
+use crate::models::RangeScale;
 use crate::models::range::TYPICAL_RANGE;
 use crate::models::range::residuals::{Classes, Residuals, Rows};
 use prediction::{Before, Fits, Guess, Near, within_reach};
@@ -33,18 +33,17 @@ pub struct RangeTokens {
 }
 
 impl RangeTokens {
-    /// Codes the range, in steps, of every cell that holds a return: the number of its bin among bins, `bin`
-    /// steps wide, centred on the prediction. Ranges are from 1 to 2^`range_bits` - 1; if bins are wider than
-    /// a step, both sides continue with the middles of the bins.
+    /// Codes the range, in steps, of every cell that holds a return: the number of its bin among bins that are centred
+    /// on the prediction. If bins are wider than a step, both sides continue with the middles of the bins.
     pub fn code<C: TokenCoder>(
         &mut self,
         coder: &mut C,
         known: &KnownCells,
-        (range_bits, bin): (u32, u32),
+        scale: RangeScale,
         steps: &mut Grid<u32>,
     ) {
-        let work = CodeRows::<C, false, false> { model: self, coder, known, range_bits, bin, steps };
-        match (known.fitted, bin == 1 && (known.expected.is_none() || !known.fitted)) {
+        let work = CodeRows::<C, false, false> { model: self, coder, known, scale, steps };
+        match (known.fitted, scale.bin == 1 && (known.expected.is_none() || !known.fitted)) {
             (true, true) => dispatch(work.compiled_for::<true, true>()),
             (true, false) => dispatch(work.compiled_for::<true, false>()),
             (false, true) => dispatch(work.compiled_for::<false, true>()),
@@ -72,15 +71,14 @@ struct CodeRows<'a, C, const FITTED: bool, const SIMPLE: bool> {
     model: &'a mut RangeTokens,
     coder: &'a mut C,
     known: &'a KnownCells<'a>,
-    range_bits: u32,
-    bin: u32,
+    scale: RangeScale,
     steps: &'a mut Grid<u32>,
 }
 
 impl<'a, C> CodeRows<'a, C, false, false> {
     fn compiled_for<const FITTED: bool, const SIMPLE: bool>(self) -> CodeRows<'a, C, FITTED, SIMPLE> {
-        let CodeRows { model, coder, known, range_bits, bin, steps } = self;
-        CodeRows { model, coder, known, range_bits, bin, steps }
+        let CodeRows { model, coder, known, scale, steps } = self;
+        CodeRows { model, coder, known, scale, steps }
     }
 }
 
@@ -93,9 +91,10 @@ impl<C: TokenCoder, const FITTED: bool, const SIMPLE: bool> NullaryFnOnce
     fn call(self) {
         /// Columns beyond the last, so that every cell has neighbours to the right.
         const MARGIN: usize = 2;
-        let CodeRows { model: RangeTokens { fits, residuals }, coder, known, range_bits, bin, steps } = self;
+        let CodeRows { model: RangeTokens { fits, residuals }, coder, known, scale, steps } = self;
         let KnownCells { occupancy, expected, levels, .. } = *known;
-        let (bin, expected) = if SIMPLE { (1, None) } else { (bin, expected) };
+        let (bin, expected) = if SIMPLE { (1, None) } else { (scale.bin, expected) };
+        let scale = RangeScale { bin, ..scale };
         let width = occupancy.columns();
         // For each column: the last ranges, and the size of the misses.
         let mut ranges = vec![i32::from(TYPICAL_RANGE); width + MARGIN];
@@ -119,7 +118,7 @@ impl<C: TokenCoder, const FITTED: bool, const SIMPLE: bool> NullaryFnOnce
                 let north2 = if FITTED { ranges2[column] } else { north };
                 let near =
                     Near { west, west2, west3, west4, north, north_west, north_east, north_east2, north2 };
-                let (most, least) = ((1i64 << range_bits) - 2, 1);
+                let (most, least) = ((1i64 << scale.bits) - 2, 1);
                 let miss_above =
                     if FITTED { (3 * misses[column] + 2 * misses[column + 1]) / 5 } else { misses[column] };
                 let miss_around = miss_left + (miss_above << 3);
@@ -138,11 +137,11 @@ impl<C: TokenCoder, const FITTED: bool, const SIMPLE: bool> NullaryFnOnce
                 let offset = hint.as_ref().map_or(0.0, |hint| hint.offset);
                 let fit = within_reach(guess.fit + offset);
                 let base = i64::from(guess.from + (fit + 1000.5) as i32 - 1000).clamp(least, most) as i32;
-                let bins = Bins::around(i64::from(base), i64::from(bin));
+                let bins = scale.bins_around(i64::from(base));
                 let off = zigzag(bins.of(i64::from(*range)) - bins.central);
                 let off =
                     unzigzag(coder.number(guess.context, off & ((1 << 48) - 1))).clamp(-MOST_BINS, MOST_BINS);
-                let coded = bins.middle(bins.central + off, range_bits) as i32;
+                let coded = bins.middle(bins.central + off, scale.bits) as i32;
                 *range = coded as u32;
                 fits.learn(&guess, coded);
                 let off = (coded - base).abs().min(MOST_MISS);
