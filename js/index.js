@@ -1,11 +1,11 @@
-// Decodes lidarpc streams. What users see is documented in index.d.ts; the other half of this file is src/wasm.rs of the
+// Decodes lidarpc streams. The public interface is documented in index.d.ts. The decoder itself is src/wasm.rs of the
 // crate.
 
-/** What the module's calls return. */
+/** The results of the module's calls: there is an answer, or bytes are missing. */
 const DONE = 0;
 const WANTS = 1;
 
-/** The arrays that values of a field are given in. */
+/** The type of array for each type of field. */
 const ARRAYS = {
   i8: Int8Array,
   u8: Uint8Array,
@@ -19,7 +19,7 @@ const ARRAYS = {
   f64: Float64Array,
 };
 
-/** What positions are made of, where they are fields. */
+/** The fields of positions. */
 const POSITION = ["x", "y", "z"];
 
 export class LidarpcError extends Error {
@@ -31,10 +31,10 @@ export class LidarpcError extends Error {
   }
 }
 
-/** The module beside this file, compiled when it is first needed. */
+/** A promise of the module beside this file, which is compiled when it is first needed. */
 let compiled;
 
-/** Compiles the module, unless it is compiled already. */
+/** The compiled module; compiles it if necessary. */
 async function moduleOf(wasm) {
   if (wasm instanceof WebAssembly.Module) return wasm;
   if (wasm !== undefined) return WebAssembly.compile(await bytesOf(wasm));
@@ -51,7 +51,7 @@ async function moduleOf(wasm) {
 async function bytesOf(wasm) {
   if (!(wasm instanceof URL || typeof wasm === "string")) return wasm;
   const url = new URL(wasm, import.meta.url);
-  // Node.js fetches no files. Bundlers would stumble over an import.
+  // `fetch` of Node.js does not read files, and an import of node:fs breaks bundles for browsers.
   const files = url.protocol === "file:" ? globalThis.process?.getBuiltinModule?.("node:fs") : undefined;
   if (files) return files.promises.readFile(url);
   const response = await fetch(url);
@@ -60,7 +60,8 @@ async function bytesOf(wasm) {
 }
 
 /**
- * A source is what `open` reads from: its size, its name, and a function that gives the bytes from `start` up to `end`.
+ * The source that `open` reads from: its name, its size, and a function that returns the bytes from `start` to `end`,
+ * exclusive.
  */
 async function sourceOf(input, options) {
   if (input instanceof ArrayBuffer || ArrayBuffer.isView(input)) {
@@ -85,10 +86,10 @@ function view(bytes) {
     : new Uint8Array(bytes.buffer, bytes.byteOffset, bytes.byteLength);
 }
 
-/** As much of the end as the decoder reads first. */
+/** Number of bytes at the end of a stream that the decoder reads first. */
 const TAIL = 1 << 16;
 
-/** A file on a server, read by range requests; at once, if the server knows none. */
+/** A file on a server, read by range requests, or as a whole if the server does not support them. */
 async function remote(url, { fetch: fetchIt = globalThis.fetch, signal, headers } = {}) {
   const request = async (range) => {
     let response;
@@ -103,11 +104,11 @@ async function remote(url, { fetch: fetchIt = globalThis.fetch, signal, headers 
   };
   const whole = (bytes) => ({ name: url, size: bytes.length, read: async (start, end) => bytes.subarray(start, end) });
 
-  // Size and end in one request.
+  // One request returns the size and the end.
   const first = await request(`-${TAIL}`);
   const tail = new Uint8Array(await first.arrayBuffer());
   if (first.status !== 206) return whole(tail);
-  // Of a server of another origin that does not let it be read, only the end of a short file is all of it.
+  // A server of another origin may hide Content-Range. If fewer bytes came than requested, they are the whole file.
   const total = /\/(\d+)$/.exec(first.headers.get("Content-Range") ?? "")?.[1];
   let size = Number(total);
   if (total === undefined) {
@@ -136,11 +137,11 @@ export async function open(input, options = {}) {
   return new Drive(decoder, source, answer);
 }
 
-/** An instance of the module, with the source of its bytes. */
+/** An instance of the module, with the source that it reads. */
 class Decoder {
   #wasm;
   #source;
-  /** Ends when the last call that was begun has ended. */
+  /** Resolves when the last call has ended. */
   #last = Promise.resolve();
 
   constructor(wasm, source) {
@@ -157,8 +158,8 @@ class Decoder {
   }
 
   /**
-   * Calls the module, with the bytes that it wants, and gives its answer by way of `take`, which may copy arrays. Calls wait
-   * for one another.
+   * Calls the module, supplies the bytes that it asks for, and returns its answer, converted by `take`, which may copy
+   * arrays. Calls run one after the other.
    */
   call(make, take = (answer) => ({ answer })) {
     const result = this.#last.then(() => this.#call(make, take));
@@ -182,7 +183,7 @@ class Decoder {
     }
   }
 
-  /** Runs the module. A trap is of memory that is not to be had, or a fault; the instance is of no more use then. */
+  /** Runs the module. After a trap (memory is exhausted, or there is a bug), the instance cannot be used any more. */
   #run(work) {
     try {
       return work();
@@ -262,7 +263,7 @@ function timeOf(time) {
   return time === null ? null : BigInt(time);
 }
 
-/** A frame of what the module says, and copies of its arrays. */
+/** A frame from the module's answer, with copies of its arrays. */
 function frameOf({ number, name, kind, track, time, points, positions, fields, image, file }, copy) {
   const named = Object.create(null);
   const counts = Object.create(null);
@@ -290,7 +291,7 @@ function frameOf({ number, name, kind, track, time, points, positions, fields, i
   };
 }
 
-/** Positions of a file that has them in another type than float32. */
+/** Positions of a file whose coordinates have another type than float32. */
 function positionsOf(fields, points) {
   if (!POSITION.every((name) => fields[name]?.length === points)) return new Float32Array(0);
   const positions = new Float32Array(3 * points);

@@ -1,5 +1,5 @@
-// How fast a drive is decoded: node js/speed.js drive.lpc. One thread, all of it; compare with
-// `time lidarpc verify --threads 1 drive.lpc`, which decodes as much.
+// Measures how fast a whole drive is decoded on one thread: node js/speed.js drive.lpc. Compare with
+// `time lidarpc verify --threads 1 drive.lpc`, which decodes the same.
 
 import { openAsBlob } from "node:fs";
 import { open } from "lidarpc";
