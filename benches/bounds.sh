@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Bits a point of the geometry (all but intensities) for largest errors from 2 mm to 50 mm, and exactly; and
-# the largest error found: README's table. For each folder of scans that is named.
+# the largest error found: the table in docs/guide.md. For each folder of scans that is named.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 cargo build --release --quiet

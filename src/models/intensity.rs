@@ -2,7 +2,6 @@
 //! neighbours' levels, with few contexts (light) or many (deep). FORMAT.md 8.5.
 
 mod deep;
-mod errors;
 mod light;
 mod neighbours;
 mod scale;

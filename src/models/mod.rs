@@ -9,7 +9,6 @@ pub(crate) mod channels;
 mod correction;
 mod intensity;
 mod least_squares;
-mod magnitude;
 mod numbers;
 mod occupancy;
 mod order;

@@ -1,4 +1,5 @@
-//! Numbers quantised to a few classes, to serve as contexts. FORMAT.md 7.2 and 7.3.
+//! Numbers quantised to a few classes, to serve as contexts. FORMAT.md 7.2, 7.3, and 8.16, "Tokens of
+//! ranges".
 
 /// The sign and half-octave of a difference: 0 to 31, with 16 for a difference of 0.
 #[inline]
@@ -48,6 +49,19 @@ impl<const N: usize> Levels<N> {
     pub fn of(&self, value: f32) -> usize {
         self.0.iter().map(|&threshold| usize::from(value >= threshold)).sum()
     }
+}
+
+/// The class of a magnitude: four classes an octave; the last class includes all higher magnitudes.
+pub fn magnitude_level(magnitude: u32, levels: usize) -> usize {
+    let magnitude = magnitude + 4;
+    let octave = magnitude.ilog2();
+    let level = ((octave - 2) << 2 | (magnitude >> (octave - 2) & 3)) as usize;
+    level.min(levels - 1)
+}
+
+/// The least magnitude of a class.
+pub fn magnitude_of_level(level: usize) -> u32 {
+    ((4 + level as u32 % 4) << (level / 4)) - 4
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-use super::magnitude::{magnitude_level, magnitude_of_level};
+use super::quantise::{magnitude_level, magnitude_of_level};
 use super::*;
 use crate::entropy::{
     ArithmeticDecoder, ArithmeticEncoder, TokenCoder, TokenReader, TokenTables, TokenWriter,

@@ -12,8 +12,7 @@ mod zero;
 
 use std::ops::RangeInclusive;
 
-use super::errors::MeanErrors;
-use super::neighbours::IntensityNeighbours;
+use super::neighbours::{IntensityNeighbours, MeanErrors};
 use super::scale::{IntensityScale, MOST_BITS};
 use crate::entropy::{
     BitCoder, Candidates, HashedCounters, LINE_LEVELS, LayeredMixer, Logistic, MixContexts, MixRates,

@@ -5,7 +5,7 @@ use std::array::from_fn;
 use super::MOST_MISS;
 use crate::ground::grid::Grid;
 use crate::models::LeastSquares;
-use crate::models::magnitude::magnitude_level;
+use crate::models::quantise::magnitude_level;
 use crate::models::range::{EDGE, EDGES, FEATURE_REACH, FIT_REACH, LONG_MEMORY};
 
 /// Classes of the expected miss, if the left neighbour is the prediction.

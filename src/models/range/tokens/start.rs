@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 
 use super::prediction::{MISS_LEVELS, RANGE_CONTEXTS, least_miss_of};
 use crate::entropy::{Counts, StartTables, numbers_of_token};
-use crate::models::magnitude::magnitude_of_level;
+use crate::models::quantise::magnitude_of_level;
 
 /// Numbers from this on are escaped until one has occurred.
 const FARTHEST: u64 = 1 << 18;
