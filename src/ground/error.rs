@@ -147,6 +147,7 @@ impl Error {
     pub(crate) fn within_frame(mut self, number: u64, name: &str) -> Self {
         if let Some(place) = self.place_mut() {
             place.frame = Some(number);
+            place.names_frame = true;
         }
         self.within(format!("frame {number} ({name:?})"))
     }
@@ -193,7 +194,7 @@ impl Error {
         let frame = self.place().and_then(|place| place.frame).or(frame);
         let what = self.to_string();
         // Messages about a group number the frames within it.
-        let unnamed = frame.filter(|number| !what.contains(&format!("frame {number} (")));
+        let unnamed = frame.filter(|_| !self.place().is_some_and(|place| place.names_frame));
         let message = unnamed.map(|number| format!("frame {number}: {what}"));
         (frame, message.unwrap_or(what))
     }
@@ -218,6 +219,8 @@ pub struct Place {
     pub frame: Option<u64>,
     /// The section of the frame.
     pub section: Option<SectionKind>,
+    /// Whether the parts name the frame by this number.
+    names_frame: bool,
     /// The parts in words, the innermost first.
     parts: Vec<String>,
 }
