@@ -70,6 +70,13 @@ pub struct EncodedFrame {
     pub stages: StageReport,
 }
 
+/// A frame coded in one of several ways, and how its track goes on if that way is taken.
+struct Candidate<'s> {
+    encoded: EncodedFrame,
+    scanner: Option<&'s Scanner>,
+    after: TrackState,
+}
+
 /// A file that differs from the original.
 struct LossyFile {
     scan: ScanFile,
@@ -86,6 +93,13 @@ impl EncodedFrame {
     fn of_channels(&self) -> usize {
         let of_channels = self.sections.iter().filter(|section| section.kind == SectionKind::Channels);
         of_channels.map(|section| section.payload.len()).sum()
+    }
+}
+
+impl Candidate<'_> {
+    /// Whether it takes fewer bytes than another candidate, if there is one.
+    fn is_smaller_than(&self, other: Option<&Self>) -> bool {
+        other.is_none_or(|other| self.encoded.size() < other.encoded.size())
     }
 }
 
@@ -171,27 +185,24 @@ impl<'s> TrackEncoder<'s> {
         let Positions::Bounded { max_error_um, .. } = self.config.positions else {
             return Ok(self.encode_as(self.config, scan, original)?.0);
         };
-        let before = self.state.clone();
+        let before = take(&mut self.state);
         let within = self.error_um.unwrap_or(max_error_um);
-        let mut bounded = self.encode_within_bound(&scan, &original, within, &before)?;
+        let mut bounded = self.within_bound(&before, &scan, &original, within)?;
         if let Some(bounded) = bounded.take_if(|_| self.bound_pays) {
-            return Ok(bounded);
+            return Ok(self.go_on_with(bounded));
         }
-        let mut after = replace(&mut self.state, before.clone());
         let (positions, intensity) = (Positions::Exact, Intensity::Exact);
         let config = EncoderConfig { positions, intensity, ..self.config.clone() };
-        let (exact, _) = self.encode_as(&config, scan.clone(), original.clone())?;
-        let of_exact = replace(&mut self.state, before.clone());
+        let (exact, _) = self.candidate(&before, &config, &scan, &original)?;
         // The other fields of a record stay exact. If they follow from the position, they may take more bytes with a
         // larger error than the positions save.
-        if self.error_um.is_none() && bounded.as_ref().is_some_and(|b| b.of_channels() > exact.of_channels())
-        {
+        let channels_grow =
+            bounded.as_ref().is_some_and(|b| b.encoded.of_channels() > exact.encoded.of_channels());
+        if self.error_um.is_none() && channels_grow {
             for within in smaller_errors(max_error_um) {
-                let smaller = self.encode_within_bound(&scan, &original, within, &before)?;
-                let state = replace(&mut self.state, before.clone());
-                let Some(smaller) = smaller else { continue };
-                if bounded.as_ref().is_none_or(|bounded| smaller.size() < bounded.size()) {
-                    (bounded, after, self.error_um) = (Some(smaller), state, Some(within));
+                let smaller = self.within_bound(&before, &scan, &original, within)?;
+                if let Some(smaller) = smaller.filter(|smaller| smaller.is_smaller_than(bounded.as_ref())) {
+                    (bounded, self.error_um) = (Some(smaller), Some(within));
                 }
             }
         }
@@ -199,43 +210,60 @@ impl<'s> TrackEncoder<'s> {
         if scan.records > 0 {
             self.error_um.get_or_insert(max_error_um);
         }
-        let bounded = bounded.filter(|bounded| bounded.size() < exact.size());
+        let bounded = bounded.filter(|bounded| bounded.is_smaller_than(Some(&exact)));
         self.bound_pays = bounded.is_some();
-        self.state = if self.bound_pays { after } else { of_exact };
-        Ok(bounded.unwrap_or(exact))
+        Ok(self.go_on_with(bounded.unwrap_or(exact)))
     }
 
-    /// Encodes the next frame with at most this error; `None` if the decoded file would exceed it. If only the digits of
-    /// its text are to blame, the points are coded with a smaller error. `before`: the state.
-    fn encode_within_bound(
+    /// Takes a candidate as the next frame of the track.
+    fn go_on_with(&mut self, Candidate { encoded, scanner, after }: Candidate<'s>) -> EncodedFrame {
+        (self.scanner, self.state) = (scanner, after);
+        encoded
+    }
+
+    /// Codes a frame as the one after `before` with these settings. Returns the decoded file too, unless it is the original.
+    fn candidate(
         &mut self,
+        before: &TrackState,
+        config: &EncoderConfig,
+        scan: &ScanFile,
+        original: &FrameHeader,
+    ) -> Result<(Candidate<'s>, Option<LossyFile>)> {
+        let scanner = self.scanner;
+        self.state.clone_from(before);
+        let (encoded, lossy) = self.encode_as(config, scan.clone(), original.clone())?;
+        let scanner = replace(&mut self.scanner, scanner);
+        Ok((Candidate { encoded, scanner, after: take(&mut self.state) }, lossy))
+    }
+
+    /// Codes a frame as the one after `before` with at most this error; `None` if the decoded file would exceed it. If only
+    /// the digits of its text are to blame, the points are coded with a smaller error.
+    fn within_bound(
+        &mut self,
+        before: &TrackState,
         scan: &ScanFile,
         original: &FrameHeader,
         max_error_um: u32,
-        before: &TrackState,
-    ) -> Result<Option<EncodedFrame>> {
+    ) -> Result<Option<Candidate<'s>>> {
         /// Number of times that a frame is coded at most.
         const ATTEMPTS: usize = 3;
         let Positions::Bounded { on_grid, .. } = self.config.positions else { return Ok(None) };
         let within = |max_error_um| Positions::Bounded { max_error_um, on_grid };
         let of_file = max_error_um.saturating_sub(file_rounding_um(scan));
         let Some(bound) = Bound::of(within(of_file), self.config.intensity) else { return Ok(None) };
-        for attempt in 0..ATTEMPTS {
+        for _ in 0..ATTEMPTS {
             let of_points = of_file.saturating_sub(step_rounding_um(scan)).saturating_sub(self.of_digits_um);
             if of_points == 0 {
                 break;
             }
             let config = EncoderConfig { positions: within(of_points), ..self.config.clone() };
-            if attempt > 0 {
-                self.state.clone_from(before);
-            }
-            let (encoded, decoded) = self.encode_as(&config, scan.clone(), original.clone())?;
+            let (candidate, decoded) = self.candidate(before, &config, scan, original)?;
             let Some(decoded) = decoded else { break };
             let Some(written) = rounded_by_file(&decoded.scan, decoded.bytes) else {
-                return Ok(bound.holds(scan, &decoded.scan).then_some(encoded));
+                return Ok(bound.holds(scan, &decoded.scan).then_some(candidate));
             };
             if bound.holds(scan, &written) {
-                return Ok(Some(encoded));
+                return Ok(Some(candidate));
             }
             let positions = [scan, &decoded.scan, &written].map(|scan| &scan.cloud.positions[..]);
             let displaced_um =
