@@ -373,6 +373,8 @@ class Columns:
         self.same_block = adaptive(2)
         self.steps = integers(5)
         self.spans = integers(5)
+        self.has_own_span = AdaptiveBit()
+        self.own_span = IntegerModel()
         self.firing = adaptive(2)
 
     def code(self, bits, scanner):
@@ -412,6 +414,8 @@ class Columns:
                 expected = span if after is None else (after.tick - column.tick) % turn
                 difference = unzigzag(self.spans[context(difference)].code(bits))
                 span = wrap(expected + difference, 64)
+            elif self.has_own_span.code(bits):
+                span = wrap(span + unzigzag(self.own_span.code(bits)), 64)
             if not 0 <= span <= turn:
                 raise Refused("a span of more than a turn")
             column.span = span

@@ -24,6 +24,9 @@ pub struct FiringColumnModel {
     steps: Vec<IntegerModel>,
     /// Differences between a span and the step to the next block.
     spans: Vec<IntegerModel>,
+    /// Whether a column has another span than the one before it in its block, and by how much it is longer.
+    has_own_span: AdaptiveBit,
+    own_spans: IntegerModel,
     /// The number of the firing in its block, by whether the column before it belongs to the same block.
     firing: [AdaptiveBit; 2],
 }
@@ -36,6 +39,8 @@ impl Default for FiringColumnModel {
             same_block: Default::default(),
             steps: vec![IntegerModel::default(); CONTEXTS],
             spans: vec![IntegerModel::default(); CONTEXTS],
+            has_own_span: AdaptiveBit::default(),
+            own_spans: IntegerModel::default(),
             firing: Default::default(),
         }
     }
@@ -127,6 +132,8 @@ impl FiringColumnModel {
                 };
                 difference = self.spans[context(difference)].code_signed(coder, i64::from(ticks) - expected);
                 last = expected.wrapping_add(difference);
+            } else if self.has_own_span.code(coder, i64::from(ticks) != last) {
+                last = last.wrapping_add(self.own_spans.code_signed(coder, i64::from(ticks) - last));
             }
             let ticks = u32::try_from(last).ok().filter(|&ticks| i64::from(ticks) <= turn);
             let ticks = ticks.ok_or_else(|| Error::corrupt("columns: a span of more than a turn"))?;
