@@ -9,7 +9,7 @@ use crate::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use crate::article::prediction::intra::{IntraConfig, RegionModels};
 use crate::backend;
 use crate::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
-use crate::frame::{Intensity, Prediction};
+use crate::frame::{Intensity, MOST_INTENSITY_STEP_MILLIONTHS, Prediction};
 use crate::ground::error::Result;
 use crate::scanner::{FLOAT_RANGES, Hdl64, RANGE_STEP_UM};
 use crate::study::metrics;
@@ -280,7 +280,7 @@ fn other_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve
         ..at(step, Coder::Context, smallest)
     };
     // Such a coarse step removes the intensities.
-    let intensity = Intensity::Rounded { step_millionths: u32::MAX };
+    let intensity = Intensity::Rounded { step_millionths: MOST_INTENSITY_STEP_MILLIONTHS };
     let bounded = |max_error_um| EncoderConfig {
         threads: base.threads,
         intensity,
