@@ -466,7 +466,7 @@ pub(super) fn elevations(points: &[Point], on_cone: f64) -> Option<Vec<f64>> {
         let far = sample.clone().filter(|point| point.range > nearest);
         let mut all: Vec<f64> = far.map(|point| point.elevation).collect();
         all.sort_unstable_by(|a, b| b.total_cmp(a));
-        (narrow_heaps(&all, on_cone), all.len())
+        (narrow_heaps(&all, on_cone, fewest_of(all.len())), all.len())
     };
     let [far, near] = NEAREST.map(heaps);
     let ((inside, found), all) = if near.0.0 > far.0.0 { near } else { far };
@@ -475,12 +475,16 @@ pub(super) fn elevations(points: &[Point], on_cone: f64) -> Option<Vec<f64>> {
     is_scanner.then_some(found)
 }
 
-/// Given descending elevations: how many lie in narrow clusters, at most this far from their middle, and the medians of
-/// the clusters.
-pub(super) fn narrow_heaps(elevations: &[f64], on_cone: f64) -> (usize, Vec<f64>) {
+/// The smallest cluster that may be that of a laser, among this number of points.
+pub(super) fn fewest_of(points: usize) -> usize {
+    (points / 2000).max(8)
+}
+
+/// Given descending elevations: how many lie in narrow clusters of at least `fewest` each, at most `on_cone` radians from
+/// their middle, and the medians of the clusters.
+pub(super) fn narrow_heaps(elevations: &[f64], on_cone: f64, fewest: usize) -> (usize, Vec<f64>) {
     /// Radians between the clusters of two lasers, at least.
     const GAP: f64 = 6e-5;
-    let fewest = (elevations.len() / 2000).max(8);
     let gap = GAP.max(on_cone / 3.0);
     let heaps = elevations.chunk_by(|a, b| a - b < gap);
     let narrow = heaps.filter(|heap| heap.len() >= fewest && heap[0] - heap[heap.len() - 1] < 2.0 * on_cone);

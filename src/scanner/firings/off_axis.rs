@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::constants::{Point, TRIED, best_of, exact_points};
-use super::fit::{ON_CONE, ScanFacts, elevations, range_step, strength};
+use super::fit::{ON_CONE, ScanFacts, elevations, fewest_of, narrow_heaps, range_step, strength};
 use super::order::{lines, order};
 use super::projection::{Place, nearest};
 use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
@@ -169,6 +169,10 @@ impl ScanFacts<'_> {
 
     /// The points of each laser: narrow clusters of elevations as seen from where a maker's beams start.
     fn rows_by_elevation(&self, maker: &Maker) -> Option<Vec<Vec<Point<'_>>>> {
+        /// In metres: points that are nearer do not count, in one attempt after the other.
+        const NEAREST: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
+        /// Of the points that are left, at least one in this number is of each laser.
+        const PART: usize = 40;
         let (along, [_, up]) = (maker.along(), maker.origin.metres());
         let moved: Vec<Point> = self
             .points
@@ -179,7 +183,19 @@ impl ScanFacts<'_> {
                 Point { elevation: libm::atan2(z - up, rho), ..*point }
             })
             .collect();
-        let elevations = elevations(&moved, self.on_cone())?;
+        let mut elevations = elevations(&moved, self.on_cone())?;
+        let fewest = fewest_of(moved.len());
+        // Near points blur the clusters of lasers that see little else.
+        for least in NEAREST {
+            let is_left = |point: &&Point| {
+                let row = nearest(&elevations, point.elevation);
+                point.range > least && (elevations[row] - point.elevation).abs() >= 10.0 * ON_CONE
+            };
+            let mut left: Vec<f64> = moved.iter().filter(is_left).map(|point| point.elevation).collect();
+            left.sort_unstable_by(|a, b| b.total_cmp(a));
+            elevations.extend(narrow_heaps(&left, self.on_cone(), fewest.max(left.len() / PART)).1);
+            elevations.sort_unstable_by(|a, b| b.total_cmp(a));
+        }
         let mut rows = vec![Vec::new(); elevations.len()];
         for (point, moved) in self.points.iter().zip(&moved) {
             let row = nearest(&elevations, moved.elevation);

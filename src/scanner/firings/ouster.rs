@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::constants::{Point, TRIED, best_of, exact_points};
-use super::fit::{GridShape, ON_CONE, RecordGrid, ScanFacts, narrow_heaps, phase};
+use super::fit::{GridShape, ON_CONE, RecordGrid, ScanFacts, fewest_of, narrow_heaps, phase};
 use super::off_axis::{beam_line, line};
 use super::order::{lines, order};
 use super::projection::nearest;
@@ -184,7 +184,7 @@ impl ScanFacts<'_> {
             let mut sample: Vec<f64> =
                 far.iter().step_by(step).map(|point| elevation(point, start)).collect();
             sample.sort_unstable_by(|a, b| b.total_cmp(a));
-            let (inside, heaps) = narrow_heaps(&sample, on_cone(BEYOND[first]));
+            let (inside, heaps) = narrow_heaps(&sample, on_cone(BEYOND[first]), fewest_of(sample.len()));
             (inside as f64 / sample.len().max(1) as f64, heaps, start)
         });
         let tried: Vec<_> = tried.collect();
@@ -198,7 +198,7 @@ impl ScanFacts<'_> {
             let near = beyond(metres).map(|point| elevation(point, start));
             let mut others: Vec<f64> = near.filter(is_apart).collect();
             others.sort_unstable_by(|a, b| b.total_cmp(a));
-            heaps.extend(narrow_heaps(&others, on_cone(metres)).1);
+            heaps.extend(narrow_heaps(&others, on_cone(metres), fewest_of(others.len())).1);
             heaps.sort_unstable_by(|a, b| b.total_cmp(a));
         }
         let mut rows = vec![Vec::new(); heaps.len()];
