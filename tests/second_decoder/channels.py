@@ -1,16 +1,16 @@
 """Sections 8.9 and 8.17 of FORMAT.md: channels and compressed bytes."""
 
 from array import array
-from math import sqrt
+from math import isfinite, isnan, sqrt
 
 from back_ends import unpacked
 from entropy import M64, AdaptiveBit, IntegerModel, unzigzag, wrap
 from errors import Refused
 from layout import F32, SIZES
 from models import LeastSquares, MixedBits, f32, floats, ilog2, to_int
-from scanner import float_of_bits
+from scanner import bits_of_float, float_of_bits
 from sections import ByteModel, Intensity, Near
-from values import Scale, at_place, converted, geometry, geometry_of_place
+from values import Scale, at_place, converted, geometry, geometry_of_place, place
 
 CONSTANT, COLUMNS, BYTES, PACKED = range(4)
 SAME, INTEGERS, LEVELS, IMAGE = 1, 2, 3, 4
@@ -151,6 +151,7 @@ class Column:
         if self.integers is None and not rule:
             self.integers = Integers()
         first = bits.plain(8) if rule > TICK + 1 else 0
+        is_rounded = rule > TICK and scale.form is None and kind == F32
         doubts = self.rules.doubts(bits) if rule else None
         found = []
         past = []
@@ -160,7 +161,7 @@ class Column:
                 past.append(past[-1] if past else 0)
                 continue
             if rule:
-                past.append(self.rules.code(bits, (rule, first, doubts), n, keys[n], columns[n], expected[n] or 0))
+                past.append(self.rules.code(bits, (rule, first, is_rounded, doubts), n, keys[n], columns[n], expected[n] or 0))
             else:
                 lagged = (past[n - lag], past[n - lag - 1]) if 0 < lag < n else None
                 past.append(self.integers.code(bits, keys[n], columns[n], expected[n], lagged))
@@ -341,6 +342,7 @@ class Rules:
         self.offsets, self.after, self.bases = {}, {}, {}
         self.base = self.last = self.last_column = self.history = 0
         self.missed = None
+        self.rounded = RoundedSums()
         self.is_right = [AdaptiveBit() for _ in range(256)]
         self.misses = None
         self.doubted = IntegerModel()
@@ -350,7 +352,7 @@ class Rules:
         return self.doubted.code(bits), self.doubts_new_columns.code(bits)
 
     def code(self, bits, settings, record, key, column, told):
-        rule, first, (doubted, of_new_columns) = settings
+        rule, first, is_rounded, (doubted, of_new_columns) = settings
         turn = rule - TICK if rule > TICK else 1
         phase = (column + first) % turn
         o = key * turn + phase
@@ -361,6 +363,8 @@ class Rules:
         expected = wrap(base + self.offsets.get(o, 0), 64)
         if rule == AFTER:
             expected = self.after.get(a, expected)
+        if is_rounded:
+            expected = self.rounded.expected(o)
         context = self.history & 3 | (column != self.last_column) << 2 | phase % 32 << 3
         is_doubted = record < doubted or of_new_columns and column != self.last_column
         is_right = self.is_right[context].code(bits) if is_doubted else 1
@@ -371,7 +375,9 @@ class Rules:
             v = wrap(expected + self.misses.code(bits, key, 0, None, None), 64)
         self.history = self.history << 1 & 3 | is_right
         self.last_column = column
-        if rule == BEAM:
+        if is_rounded:
+            self.rounded.learn(o, v)
+        elif rule == BEAM:
             self.offsets[o] = v
         elif rule in (COLUMN, TICK):
             if column in self.bases and o not in self.offsets:
@@ -398,6 +404,58 @@ class Rules:
         else:
             self.missed = self.base, o, v
         self.base = base
+
+
+class RoundedSums:
+    """Sums of a base and a constant that were rounded to single precision."""
+
+    def __init__(self):
+        self.sums = {}
+        self.bounds = 0.0, 0.0
+        self.missed = None
+
+    def expected(self, o):
+        value = f32(middle(self.bounds) + self.sums.get(o, (0.0, 0.0))[0])
+        return 0 if isnan(value) else place(F32, bits_of_float(value))
+
+    def learn(self, o, v):
+        before, self.missed = self.missed, None
+        t = float_of_bits(at_place(F32, v))
+        if not isfinite(t):
+            return
+        above = float_of_bits(bits_of_float(abs(t)) + 1)
+        if not isfinite(above):
+            return
+        half = 0.5 * (above - abs(t))
+        if o not in self.sums:
+            self.sums[o] = self.new(t, half)
+            return
+        constant, error = self.sums[o]
+        possible = t - constant - (half + error), t - constant + (half + error)
+        bounds = shared(self.bounds, possible)
+        if bounds:
+            self.bounds = bounds
+        elif before and shared(before[0], possible):
+            self.bounds = shared(before[0], possible)
+            self.sums[before[1]] = self.new(before[2], half)
+        else:
+            self.missed = self.bounds, o, t
+            self.bounds = possible
+        again = self.new(t, half)
+        if again[1] < error:
+            self.sums[o] = again
+
+    def new(self, t, half):
+        return t - middle(self.bounds), half + 0.5 * (self.bounds[1] - self.bounds[0])
+
+
+def middle(bounds):
+    return 0.5 * (bounds[0] + bounds[1])
+
+
+def shared(a, b):
+    least, largest = max(a[0], b[0]), min(a[1], b[1])
+    return (least, largest) if least <= largest else None
 
 
 def level(v):

@@ -11,7 +11,7 @@ use super::plan::{Geometry, Image, Integers, Levels, Plan};
 use super::rules::{Rule, RuleState};
 use super::{Sources, is_constant, may_be_key};
 use crate::entropy::ArithmeticEncoder;
-use crate::models::numbers::Scale;
+use crate::models::numbers::{Scale, number};
 use crate::scan::Scalar;
 
 /// Number of records that are coded to choose what predicts them.
@@ -102,7 +102,11 @@ impl ColumnModel {
         if let Some(plan) = self.same_kind(plain, scalar, values) {
             return Choice::sure(plan, 1);
         }
-        let sampled = [middle(records, SAMPLE)];
+        // Times since the start of a scan in single precision are the most accurate there.
+        let [first, last] =
+            [&values[..size], &values[values.len() - size..]].map(|v| number(scalar, v).abs());
+        let is_from_start = plain.are_singles(scalar) && first < last;
+        let sampled = [if is_from_start { 0..records.min(SAMPLE) } else { middle(records, SAMPLE) }];
         let part = sources.part(&sampled);
         let (part, sampled) = (part.sources(), &gather(values, size, &sampled));
         if let Some(plan) = self.tried_plan(plain, &part, scalar, sampled) {
@@ -312,7 +316,7 @@ fn misses(
     let places = Places::new(plan, sources, scalar).ok()?;
     let rule = plan.rule?;
     let mut state = RuleState::default();
-    state.prepare(rule);
+    state.prepare(rule, plan.are_singles(scalar));
     let mut misses = 0;
     for (record, integer) in integers.iter().enumerate() {
         let Some(integer) = *integer else { continue };

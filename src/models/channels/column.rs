@@ -144,7 +144,7 @@ impl ColumnModel {
         let places = Places::new(&plan, sources, scalar)?;
         let ColumnModel { integers: model, rules, off, .. } = self;
         if let Some(rule) = plan.rule {
-            rules.prepare(rule);
+            rules.prepare(rule, plan.are_singles(scalar));
             code_by_rule(coder, (rules, rule), off, (plan.has_exceptions, &places), scalar, values);
             return Ok(());
         }

@@ -6,6 +6,7 @@ use super::rules::Rule;
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
 use crate::models::numbers::Scale;
+use crate::scan::Scalar;
 
 /// How a column is coded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -144,6 +145,13 @@ impl Geometry {
             6..9 => angle(libm::atan2(x, y)),
             _ => angle(libm::atan2(z, flat.sqrt())),
         }
+    }
+}
+
+impl Integers {
+    /// Whether integers are the ranks of float32 values.
+    pub fn are_singles(&self, scalar: Scalar) -> bool {
+        self.scale == Scale::PLACE && scalar == Scalar::F32
     }
 }
 

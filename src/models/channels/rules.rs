@@ -4,6 +4,7 @@
 
 use super::integers::{ENTRIES, IntegersModel, Site, slot};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
+use crate::ground::float_order::{from_ordered, ordered};
 
 /// What an integer follows from, relative to what the position or the place implies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,7 +20,7 @@ pub enum Rule {
     Tick,
     /// A constant of its beam, a different one in each of this number of columns in turn, plus a base that changes
     /// seldom: the time of a packet, and that of a firing in it. Frames start anywhere in a packet; see
-    /// [`RuleModel::code_phase`].
+    /// [`RuleModel::code_phase`]. Sums in single precision are rounded; see [`RoundedSums`].
     Turn(u8),
 }
 
@@ -106,6 +107,9 @@ pub struct RuleState {
     offsets: Vec<Option<i64>>,
     /// By hash of the key and the last integer: the integer that followed.
     after: Vec<Option<i64>>,
+    /// The same for sums that are rounded, which have a base of their own.
+    rounded: RoundedSums,
+    are_rounded: bool,
     /// By column, or by tick: the base.
     bases: Vec<Option<i64>>,
     base: i64,
@@ -139,9 +143,9 @@ struct Expected {
 }
 
 impl RuleModel {
-    /// Allocates the tables of a rule, before its first integer.
-    pub fn prepare(&mut self, rule: Rule) {
-        self.state.prepare(rule);
+    /// Allocates the tables of a rule, before its first integer. `are_singles`: integers are ranks of float32 values.
+    pub fn prepare(&mut self, rule: Rule, are_singles: bool) {
+        self.state.prepare(rule, are_singles);
     }
 
     /// Codes which of the columns in turn a frame starts with. The encoder passes its integers, each with the site of
@@ -227,7 +231,11 @@ impl RuleModel {
 
 impl RuleState {
     /// See [`RuleModel::prepare`].
-    pub fn prepare(&mut self, rule: Rule) {
+    pub fn prepare(&mut self, rule: Rule, are_singles: bool) {
+        self.are_rounded = are_singles && matches!(rule, Rule::Turn(_));
+        if self.are_rounded {
+            return self.rounded.offsets.resize(ENTRIES, None);
+        }
         self.offsets.resize(ENTRIES, None);
         if rule == Rule::After {
             self.after.resize(ENTRIES, None);
@@ -249,11 +257,14 @@ impl RuleState {
         const SAMPLE: usize = 1024;
         let known: Vec<(Site, i64)> = known.flatten().take(SAMPLE).collect();
         let changes = |&phase: &u32| {
-            let bases = known.iter().filter_map(|(site, integer)| {
+            let sums = known.iter().map(|(site, integer)| {
                 let column = site.column.wrapping_add(phase) % rule.columns();
-                let offset = self.offsets[entry(rule, site.key, column)]?;
-                Some(integer.wrapping_sub(site.geometry.unwrap_or(0)).wrapping_sub(offset))
+                (entry(rule, site.key, column), integer.wrapping_sub(site.geometry.unwrap_or(0)))
             });
+            if self.are_rounded {
+                return self.rounded.changes(sums);
+            }
+            let bases = sums.filter_map(|(entry, integer)| Some(integer.wrapping_sub(self.offsets[entry]?)));
             let mut last = None;
             bases.filter(|&base| last.replace(base) != Some(base)).count()
         };
@@ -276,9 +287,10 @@ impl RuleState {
                 | usize::from(site.column != self.last_column) << 2
                 | (phase as usize % TURN_CONTEXTS) << 3,
         };
-        let above = |base: i64| base.wrapping_add(self.offsets[offset].unwrap_or(0));
+        let above = |base: i64| base.wrapping_add(self.offsets.get(offset).copied().flatten().unwrap_or(0));
         expected.integer = match rule {
             Rule::Beam => above(0),
+            Rule::Turn(_) if self.are_rounded => self.rounded.expected(offset),
             Rule::Turn(_) => above(self.base),
             Rule::Column | Rule::Tick => {
                 if self.bases.len() <= expected.column {
@@ -299,6 +311,9 @@ impl RuleState {
         let is_right = value == expected.integer;
         self.history = self.history << 1 | usize::from(is_right);
         self.last_column = site.column;
+        if self.are_rounded {
+            return self.rounded.learn(expected.offset, value);
+        }
         let offset = &mut self.offsets[expected.offset];
         // Most integers follow the rule, and these rules learn nothing new from them.
         match rule {
@@ -344,6 +359,109 @@ impl RuleState {
         }
         self.base = base;
     }
+}
+
+/// Sums of a base and a constant that were rounded to single precision: `t = f32(base + offset)`. A sum shows its base
+/// only to within half a unit in its last place; several sums narrow it down. All in double precision.
+#[derive(Clone, Default)]
+struct RoundedSums {
+    /// By entry, as for other sums.
+    offsets: Vec<Option<RoundedOffset>>,
+    /// The least and the largest possible base.
+    base: [f64; 2],
+    /// If the last sum contradicted the base: the base before it, its entry, and the sum.
+    missed: Option<([f64; 2], usize, f64)>,
+}
+
+/// A constant, and how far it may be off.
+#[derive(Clone, Copy)]
+struct RoundedOffset {
+    value: f64,
+    error: f64,
+}
+
+impl RoundedSums {
+    /// The rank of the sum that is expected of an entry.
+    fn expected(&self, entry: usize) -> i64 {
+        let offset = self.offsets[entry].map_or(0.0, |offset| offset.value);
+        let sum = (middle(self.base) + offset) as f32;
+        // Processors differ in the bits of a NaN that they compute.
+        if sum.is_nan() { 0 } else { ordered(sum) }
+    }
+
+    /// Learns from the rank of a sum.
+    fn learn(&mut self, entry: usize, rank: i64) {
+        let missed = self.missed.take();
+        let Some((sum, half)) = rounded(rank) else { return };
+        let Some(offset) = self.offsets[entry] else {
+            self.offsets[entry] = Some(self.offset(sum, half, self.base));
+            return;
+        };
+        let possible = offset.base_of(sum, half);
+        match both(self.base, possible) {
+            Some(base) => self.base = base,
+            None => match missed.and_then(|(before, entry, sum)| Some((both(before, possible)?, entry, sum)))
+            {
+                // The constant of the last sum has changed, not the base.
+                Some((base, entry, sum)) => {
+                    self.base = base;
+                    self.offsets[entry] = Some(self.offset(sum, half, base));
+                }
+                None => {
+                    self.missed = Some((self.base, entry, sum));
+                    self.base = possible;
+                }
+            },
+        }
+        let again = self.offset(sum, half, self.base);
+        if again.error < offset.error {
+            self.offsets[entry] = Some(again);
+        }
+    }
+
+    /// The constant that is added to a base to give a sum, itself known to within `half`.
+    fn offset(&self, sum: f64, half: f64, base: [f64; 2]) -> RoundedOffset {
+        RoundedOffset { value: sum - middle(base), error: half + 0.5 * (base[1] - base[0]) }
+    }
+
+    /// How often the base changes from sum to sum, each with its entry.
+    fn changes(&self, sums: impl Iterator<Item = (usize, i64)>) -> usize {
+        let bases = sums.filter_map(|(entry, rank)| {
+            let (sum, half) = rounded(rank)?;
+            Some(self.offsets[entry]?.base_of(sum, half))
+        });
+        let mut last = [f64::NEG_INFINITY, f64::INFINITY];
+        let changes = |base: &[f64; 2]| {
+            let shared = both(last, *base);
+            last = shared.unwrap_or(*base);
+            shared.is_none()
+        };
+        bases.filter(changes).count()
+    }
+}
+
+impl RoundedOffset {
+    /// The least and the largest base of a sum that is known to within `half`.
+    fn base_of(&self, sum: f64, half: f64) -> [f64; 2] {
+        [sum - self.value - (half + self.error), sum - self.value + (half + self.error)]
+    }
+}
+
+/// The float32 value of a rank, and half a unit in its last place; `None` if it is not finite.
+fn rounded(rank: i64) -> Option<(f64, f64)> {
+    let sum = from_ordered(rank);
+    let above = sum.abs().next_up();
+    above.is_finite().then(|| (f64::from(sum), 0.5 * (f64::from(above) - f64::from(sum.abs()))))
+}
+
+fn middle([least, largest]: [f64; 2]) -> f64 {
+    0.5 * (least + largest)
+}
+
+/// What two intervals share.
+fn both(a: [f64; 2], b: [f64; 2]) -> Option<[f64; 2]> {
+    let shared = [a[0].max(b[0]), a[1].min(b[1])];
+    (shared[0] <= shared[1]).then_some(shared)
 }
 
 /// The index of an offset: dense as long as keys are small, otherwise a hash.

@@ -265,8 +265,8 @@ fn round_trip_by(rule: Rule, sites: &[(u8, u8, Option<i64>)], integers: &[i64]) 
     };
     let mut encoder = ArithmeticEncoder::default();
     let (mut writer, mut reader) = (RuleModel::default(), RuleModel::default());
-    writer.prepare(rule);
-    reader.prepare(rule);
+    writer.prepare(rule, false);
+    reader.prepare(rule, false);
     let known = || sites.iter().map(site).zip(integers.iter().copied()).map(Some);
     let (doubts, _) = writer.code_doubts(&mut encoder, rule, known());
     for (record, (at, &integer)) in sites.iter().zip(integers).enumerate() {
