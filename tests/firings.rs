@@ -275,6 +275,27 @@ fn both_versions_of_robosenses_driver_are_found() {
 }
 
 #[test]
+fn lasers_that_see_only_the_floor_are_found() {
+    for recipe in [Recipe::RoboSense, Recipe::LsLidar] {
+        let truth = made_up(recipe);
+        let mut image = image(&truth, 1);
+        let width = image.columns.len();
+        for (place, steps) in
+            image.steps.cells_mut().iter_mut().enumerate().filter(|(place, _)| place / width >= 29)
+        {
+            // Nearly all returns of three lasers are within a metre, where the axis is not far.
+            let metres = if place % 16 == 0 { 2.0 } else { 0.06 + (place % 97) as f64 * 0.01 };
+            *steps = (metres * 1e6 / f64::from(truth.build().range_step_um)) as u32;
+        }
+        let points = points(&truth, &image);
+        let (found, _) = fit(&[file(&points)]).expect("found");
+        assert_eq!((found.build().recipe, found.rows()), (recipe, 32));
+        let (_, inexact, strays) = counts(&found, &points);
+        assert!(inexact + strays <= points.len() / 100, "{recipe:?}: {inexact}, {strays}");
+    }
+}
+
+#[test]
 fn lasers_that_look_back_and_forth_while_the_azimuth_goes_on_are_found() {
     let scan = vlp_32c(150);
     let (found, share) = fit(&[file(&scan)]).expect("found");

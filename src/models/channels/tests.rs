@@ -12,18 +12,22 @@ use crate::models::numbers::Scale;
 
 /// Codes channels in two frames, checks that they are restored, and returns the bytes of the second frame.
 fn round_trip(channels: &[Channel], context: &RecordContext) -> usize {
+    frames_round_trip(&[(channels, context); 2])[1]
+}
+
+/// Codes frames with the same models, checks that they are restored, and returns the bytes of each.
+fn frames_round_trip(frames: &[(&[Channel], &RecordContext)]) -> Vec<usize> {
     let (mut writer, mut reader) = (ChannelsModel::default(), ChannelsModel::default());
-    let mut size = 0;
-    for _ in 0..2 {
+    let sizes = frames.iter().map(|&(channels, context)| {
         let mut encoder = ArithmeticEncoder::default();
         writer.code(&mut encoder, &mut channels.to_vec(), context, Level::default()).unwrap();
         let bytes = encoder.finish();
-        size = bytes.len();
         let mut decoded = empty(channels);
         reader.code(&mut ArithmeticDecoder::new(&bytes), &mut decoded, context, Level::default()).unwrap();
         assert_eq!(decoded, channels);
-    }
-    size
+        bytes.len()
+    });
+    sizes.collect()
 }
 
 /// The same channels, all zeros.
@@ -255,8 +259,46 @@ fn what_repeats_far_away_is_compressed() {
     }
 }
 
-/// Codes and decodes arbitrary integers by a rule.
-fn round_trip_by(rule: Rule, sites: &[(u8, u8, Option<i64>)], integers: &[i64]) {
+/// The records of a frame that begins with this firing of a packet, their firings counted from that of the packet.
+fn frame_from(firing: u32) -> (Vec<u32>, RecordContext) {
+    let returns: Vec<u32> = returns().iter().map(|n| n + 16 * firing).collect();
+    let mut context = context_of_firings(&returns);
+    context.columns.iter_mut().for_each(|column| *column -= firing);
+    (returns, context)
+}
+
+#[test]
+fn frames_that_begin_within_a_packet_know_its_firings_from_those_before() {
+    let time = |n: &u32| {
+        // Twelve firings per packet, each of which has a time of its own.
+        let packet = 1.6e9 + f64::from(n / 192 * 700 + noise(n / 192) % 50) * 1e-6;
+        (packet + f64::from(noise(n % 192) % 600) * 1e-6).to_le_bytes()
+    };
+    let frames = [0, 5, 11].map(|firing| {
+        let (returns, context) = frame_from(firing);
+        (vec![channel("time", Scalar::F64, returns.iter().map(time))], context)
+    });
+    let sizes = frames_round_trip(&frames.each_ref().map(|(channels, context)| (&channels[..], context)));
+    let packets = 2 * RECORDS as usize / 192;
+    assert!(sizes[1..].iter().all(|&size| size < 6 * packets), "{sizes:?} bytes of {packets} packets");
+}
+
+#[test]
+fn times_that_were_added_in_single_precision_take_little() {
+    let (returns, context) = frame_from(0);
+    let start = |packet: u32| (f64::from(packet * 1327 + noise(packet) % 60) * 1e-6) as f32;
+    let time = |n: &u32| {
+        let of_firing = (f64::from(n / 16 % 24) * 55.296 + f64::from(n % 16) * 2.304) * 1e-6;
+        of_firing as f32 + start(n / 384)
+    };
+    let times = || returns.iter().map(|n| time(n).to_le_bytes());
+    let size = round_trip(&[channel("time", Scalar::F32, times())], &context);
+    let packets = 2 * RECORDS as usize / 384;
+    assert!(size < 12 * packets, "{size} bytes of {packets} packets");
+}
+
+/// Codes and decodes arbitrary integers by a rule; `are_singles`: they are ranks of float32 values.
+fn round_trip_by(rule: Rule, are_singles: bool, sites: &[(u8, u8, Option<i64>)], integers: &[i64]) {
     let site = |&(key, column, geometry): &(u8, u8, Option<i64>)| Site {
         key: key.into(),
         column: column.into(),
@@ -265,15 +307,17 @@ fn round_trip_by(rule: Rule, sites: &[(u8, u8, Option<i64>)], integers: &[i64]) 
     };
     let mut encoder = ArithmeticEncoder::default();
     let (mut writer, mut reader) = (RuleModel::default(), RuleModel::default());
-    writer.prepare(rule, false);
-    reader.prepare(rule, false);
+    writer.prepare(rule, are_singles);
+    reader.prepare(rule, are_singles);
     let known = || sites.iter().map(site).zip(integers.iter().copied()).map(Some);
+    writer.code_phase(&mut encoder, rule, known());
     let (doubts, _) = writer.code_doubts(&mut encoder, rule, known());
     for (record, (at, &integer)) in sites.iter().zip(integers).enumerate() {
         assert_eq!(writer.code(&mut encoder, (rule, doubts), (record, &site(at)), integer), integer);
     }
     let bytes = encoder.finish();
     let mut decoder = ArithmeticDecoder::new(&bytes);
+    reader.code_phase(&mut decoder, rule, known());
     assert_eq!(reader.code_doubts(&mut decoder, rule, known()).0, doubts);
     for (record, (at, &integer)) in sites.iter().zip(integers).enumerate() {
         assert_eq!(reader.code(&mut decoder, (rule, doubts), (record, &site(at)), 0), integer);
@@ -375,6 +419,7 @@ proptest! {
     #[test]
     fn any_integers_come_back_by_any_rule(
         code in 1u8..,
+        are_singles: bool,
         records in prop::collection::vec(((0u8..4, 0u8..9, any::<Option<i64>>()), any::<i64>(), 0i64..3), 0..60),
     ) {
         let rule = Rule::from_code(code).unwrap();
@@ -383,7 +428,7 @@ proptest! {
             .into_iter()
             .map(|(site, any, small)| (site, if any % 3 == 0 { any } else { small }))
             .unzip();
-        round_trip_by(rule, &sites, &integers);
+        round_trip_by(rule, are_singles, &sites, &integers);
     }
 
     #[test]

@@ -142,3 +142,54 @@ impl FiringColumnModel {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
+    use crate::scanner::Coordinates;
+    use crate::scanner::firings::{Build, Laser, Origin, Recipe, Timing};
+
+    /// A scanner of two lasers and blocks of two firings.
+    fn scanner() -> Firings {
+        let build = Build {
+            recipe: Recipe::RoboSense,
+            ticks: 36_000,
+            range_step_um: 2500,
+            coordinates: Coordinates::Float32,
+            origin: Origin::default(),
+            timing: Timing::Parts(vec![0, 1 << 22, 1 << 23, 3 << 22]),
+            mounting: None,
+        };
+        Firings::new(build, vec![Laser::default(); 2], vec![0, 1])
+    }
+
+    proptest! {
+        #[test]
+        fn any_columns_come_back(
+            columns in prop::collection::vec((any::<bool>(), 0u32..36_000, 0u32..60, 0u32..2), 0..60),
+            is_full: bool,
+        ) {
+            // Some columns have the tick of the one before, as in a block, but not always its span.
+            let mut last = 0;
+            let ticks = columns.iter().map(|&(is_same, tick, ..)| {
+                last = if is_same { last } else { tick };
+                last
+            });
+            let mut image = RangeImage::new(2, ticks.collect());
+            image.spans = columns.iter().map(|&(_, _, ticks, firing)| Span { ticks, firing }.packed()).collect();
+            image.is_full = is_full;
+            let mut encoder = ArithmeticEncoder::default();
+            let mut coded = image.clone();
+            FiringColumnModel::default().code(&mut encoder, &scanner(), &mut coded, 100).unwrap();
+            let bytes = encoder.finish();
+            let mut decoded = RangeImage::new(2, Vec::new());
+            let mut decoder = ArithmeticDecoder::new(&bytes);
+            FiringColumnModel::default().code(&mut decoder, &scanner(), &mut decoded, 100).unwrap();
+            prop_assert_eq!((&decoded.columns, &decoded.spans), (&image.columns, &image.spans));
+            prop_assert_eq!((&coded.spans, decoded.is_full), (&image.spans, is_full));
+        }
+    }
+}
