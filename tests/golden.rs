@@ -150,6 +150,33 @@ fn mounted_files(mover: common::firings::Mover) -> Vec<File> {
     named(&scans(&config).iter().map(moved).collect::<Vec<_>>())
 }
 
+/// Scans of a VLP-16 with the time of each point as ROS' driver computes it: that of its packet, of 24 firings, and that of
+/// its firing and laser, added in single precision. The second scan begins within a packet.
+fn timed_files() -> Vec<File> {
+    let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 2, thinning: 6, ..small(6, 2) };
+    let timed = |(scan, first): (&common::scans::Points, usize)| {
+        let (mut firing, mut last) = (first, None);
+        let times: Vec<f32> = scan
+            .iter()
+            .map(|[x, y, z, _]| {
+                let degrees = z.atan2(x.hypot(*y)).to_degrees().round() as i32;
+                // Lasers fire in the order of elevations -15, 1, -13, 3 and so on.
+                let slot = if degrees < 0 { degrees + 15 } else { degrees };
+                firing += usize::from(last.is_some_and(|last| slot <= last));
+                last = Some(slot);
+                let packet = (firing / 24 * 1327 + firing / 24 * firing / 24 % 50) as f64 * 1e-6;
+                let of_firing = ((firing % 24) as f64 * 55.296 + f64::from(slot) * 2.304) * 1e-6;
+                of_firing as f32 + packet as f32
+            })
+            .collect();
+        common::formats::pcd("x y z intensity time", "4 4 4 4 4", "F F F F F", scan, |n, point| {
+            [&point.map(f32::to_le_bytes).concat()[..], &times[n].to_le_bytes()].concat()
+        })
+    };
+    let files = scans(&config).iter().zip([0, 7]).map(timed).collect::<Vec<_>>();
+    (0..).zip(files).map(|(n, file)| (format!("{n}.pcd"), file)).collect()
+}
+
 /// A scan that was not rounded before it was moved, field after field, and one of which nothing tells that.
 fn unrounded_files() -> Vec<File> {
     let scan = common::firings::unrounded_hdl_32e(180.0, -0.090_805, 12);
@@ -314,6 +341,7 @@ fn recipes() -> Vec<Recipe> {
     exact("firings-turned", || named(&[common::firings::vlp_32c(12)]), EncoderConfig::default());
     exact("firings-millimetres", || rounded_files(3), EncoderConfig::default());
     exact("firings-centimetres", || rounded_files(2), EncoderConfig::default());
+    exact("firings-timed", timed_files, EncoderConfig::default());
     exact("firings-stamped", stamped_files, EncoderConfig::default());
     exact("standing-still", standing_still_files, EncoderConfig::default());
     for (level, name) in [(1, "-packed"), (6, ""), (9, "-deep")] {

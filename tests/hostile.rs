@@ -391,7 +391,7 @@ fn strays_of_bytes_that_are_made_up_are_an_error_in_time() {
         let mut frame = vec![file_section(&kitti_layout(), most, most)];
         frame.extend(sections(&[SectionKind::Strays, SectionKind::Intensity], payload));
         let error = decode_files(&forged(None, most, frame)).unwrap_err().to_string();
-        let is_known = error.contains("points section ends too early") || error.contains("compressed bytes");
+        let is_known = error.contains("strays section ends too early") || error.contains("compressed bytes");
         assert!(is_known, "{error}");
     }
 }
@@ -418,7 +418,7 @@ fn random_sections_behind_a_good_file_section() {
         }
     }
     for place in [
-        "points section",
+        "strays section",
         "the range image",
         "echoes section",
         "token frequencies",
