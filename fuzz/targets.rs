@@ -76,9 +76,9 @@ pub fn sections(data: &[u8]) {
     let _ = decode_within(&put_together(&models, &groups), LIMITS);
 }
 
-/// Any bytes as changes to the parts of a valid stream, five bytes each: frames and sections are truncated, joined,
-/// exchanged with those of another stream, removed, repeated and changed, and all checksums corrected, so that the
-/// changes reach the coders.
+/// Any bytes as changes to the parts of a valid stream, five bytes each: frames and sections are truncated,
+/// joined, exchanged with those of another stream, removed, repeated and changed, and all checksums
+/// corrected, so that the changes reach the coders.
 pub fn parts(data: &[u8]) {
     let [stream, other, changes @ ..] = data else { return };
     let pick = |number: &u8| &STREAMS[usize::from(*number) % STREAMS.len()];
@@ -124,7 +124,8 @@ pub fn parts(data: &[u8]) {
     let _ = decode_within(&put_together(&models, &groups), LIMITS);
 }
 
-/// Any bytes as the output of a back-end, for a length in two bytes; also, data that it compresses must be restored.
+/// Any bytes as the output of a back-end, for a length in two bytes; also, data that it compresses must be
+/// restored.
 pub fn backends(data: &[u8]) {
     let [id, low, high, bytes @ ..] = data else { return };
     let backend = BACKENDS[usize::from(*id) % BACKENDS.len()];
@@ -359,9 +360,9 @@ pub fn sequence(data: &[u8]) {
     }
 }
 
-/// Any bytes as a message with a cloud, in each encoding: parsed and written again, it is the same, and so is the
-/// payload of its compressed message. Or any bytes as a recording: it is read in each way and, packed and unpacked,
-/// has the same messages.
+/// Any bytes as a message with a cloud, in each encoding: parsed and written again, it is the same, and so is
+/// the payload of its compressed message. Or any bytes as a recording: it is read in each way and, packed and
+/// unpacked, has the same messages.
 pub fn recordings(data: &[u8]) {
     let [kind, bytes @ ..] = data else { return };
     let encoding = match kind % 3 {

@@ -319,8 +319,8 @@ fn a_compressor_is_tried_again_for_clouds_of_another_kind() {
 
 #[test]
 fn a_scanner_whose_numbers_the_file_does_not_have_is_not_used() {
-    // Coordinates that have lost bits, as in half precision: a scanner fits, but the corrections would take more than
-    // the points.
+    // Coordinates that have lost bits, as in half precision: a scanner fits, but the corrections would take
+    // more than the points.
     let scans = scans(&SynthConfig { beams: 16, thinning: 4, ..small(3, 2) });
     let cut = |v: f32| f32::from_bits(v.to_bits() & !0xfff);
     let cut: Vec<Points> = scans

@@ -41,7 +41,8 @@ fn files(scans: &[Points]) -> Vec<File> {
     scans.iter().enumerate().map(|(number, points)| (format!("{number}.bin"), kitti(points))).collect()
 }
 
-/// The numbers of returns that the recipe reproduces to the last bit, of returns that it does not, and of strays.
+/// The numbers of returns that the recipe reproduces to the last bit, of returns that it does not, and of
+/// strays.
 fn counts(scanner: &Firings, points: &Points) -> (usize, usize, usize) {
     let cloud = file(points).cloud;
     let projection = scanner.project(&cloud, REACH);
@@ -153,8 +154,8 @@ fn scanners_of_all_recipes_are_found_from_their_points() {
         let points = points(&truth, &image(&truth, 1));
         let (found, share) = fit(&[file(&points)]).unwrap_or_else(|| panic!("{recipe:?} is not found"));
         assert!(share > 0.999, "{recipe:?}: {share}");
-        // In double precision, it does not matter which axis counts as ahead: a quarter of a turn is a whole number of
-        // ticks. Nor does a timing in which no slot is a tick later.
+        // In double precision, it does not matter which axis counts as ahead: a quarter of a turn is a whole
+        // number of ticks. Nor does a timing in which no slot is a tick later.
         let ahead = |build: &Build| {
             let recipe = match build.recipe {
                 Recipe::DoubleXAhead => Recipe::DoubleYAhead,
@@ -462,7 +463,8 @@ fn beams_through_a_focal_point_are_found() {
     assert_eq!((found.build().recipe, found.build().origin.along_um), (Recipe::VelodyneDecoder, 41_910));
     assert!(share > 0.99, "{share}");
     let (exact, inexact, strays) = counts(&found, &points);
-    // glibc's cosine is another float32 for one angle in a hundred, and the azimuth advances by fractions of a tick.
+    // glibc's cosine is another float32 for one angle in a hundred, and the azimuth advances by fractions of
+    // a tick.
     assert!(inexact <= exact / 30 && strays <= exact / 100, "{exact}, {inexact}, {strays}");
 }
 
@@ -471,8 +473,8 @@ fn rounded_coordinates_take_little_more_than_those_to_the_last_bit() {
     let of = |scanner: Firings| points(&scanner, &image(&scanner, 1));
     let made_up = |recipe| of(made_up(recipe));
     let vlp_16 = scans(&config(8, 1, 1)).remove(0);
-    // Decimal places, and bytes in percent of those of the scan before it was rounded. The room of the last one has no
-    // noise, so that there is little else to code than what rounding has changed.
+    // Decimal places, and bytes in percent of those of the scan before it was rounded. The room of the last
+    // one has no noise, so that there is little else to code than what rounding has changed.
     for (name, scan, limits) in [
         ("VLP-16", vlp_16, &[(3, 105), (2, 100)][..]),
         ("32 lasers with offsets", made_up(Recipe::DoubleYAhead), &[(3, 102), (2, 130)]),

@@ -150,8 +150,9 @@ fn mounted_files(mover: common::firings::Mover) -> Vec<File> {
     named(&scans(&config).iter().map(moved).collect::<Vec<_>>())
 }
 
-/// Scans of a VLP-16 with the time of each point as ROS' driver computes it: that of its packet, of 24 firings, and that of
-/// its firing and laser, added in single precision. The second scan begins within a packet.
+/// Scans of a VLP-16 with the time of each point as ROS' driver computes it: that of its packet, of 24
+/// firings, and that of its firing and laser, added in single precision. The second scan begins within a
+/// packet.
 fn timed_files() -> Vec<File> {
     let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 2, thinning: 6, ..small(6, 2) };
     let timed = |(scan, first): (&common::scans::Points, usize)| {
@@ -185,7 +186,8 @@ fn unrounded_files() -> Vec<File> {
     vec![("0.bin".to_owned(), by_field), ("1.bin".to_owned(), common::formats::kitti(&scan))]
 }
 
-/// Two scans of a VLP-16 whose coordinates were rounded to this number of decimal places; zeros have both signs.
+/// Two scans of a VLP-16 whose coordinates were rounded to this number of decimal places; zeros have both
+/// signs.
 fn rounded_files(places: i32) -> Vec<File> {
     let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 2, thinning: 12, ..small(5, 2) };
     let mut scans: Vec<_> = scans(&config).iter().map(|scan| rounded(scan, places)).collect();
@@ -491,7 +493,8 @@ fn table_files() -> Vec<File> {
     ]
 }
 
-/// Arrow files of pyarrow: half precision, doubles, and columns of more than one LZ4 block; and an array in half precision.
+/// Arrow files of pyarrow: half precision, doubles, and columns of more than one LZ4 block; and an array in
+/// half precision.
 fn arrow_files() -> Vec<File> {
     let vector = |name: &str| fs::read(in_package("testdata/vectors").join(name)).unwrap();
     let frame = &scans(&small(3, 2))[0];
@@ -511,8 +514,8 @@ fn firing_files() -> Vec<File> {
     frames.map(|(number, points)| (format!("{number}.pcd"), pcd_velodyne(points))).collect()
 }
 
-/// Scans of a VLP-16 that no scanner explains, as they were moved with a car: with rings, without, each firing twice with
-/// intensities off any grid, in half precision, and in steps of 5 mm.
+/// Scans of a VLP-16 that no scanner explains, as they were moved with a car: with rings, without, each
+/// firing twice with intensities off any grid, in half precision, and in steps of 5 mm.
 fn trail_files() -> Vec<File> {
     let config = SynthConfig { scanner: SynthScanner::Vlp16, thinning: 2, ..small(9, 4) };
     let mut frames = scans(&config);

@@ -396,8 +396,8 @@ fn strays_of_bytes_that_are_made_up_are_an_error_in_time() {
     }
 }
 
-/// Random bytes as the sections of an image and its points: with 60 points, as the frame's header says, decoders of
-/// every level go as far as their bytes allow.
+/// Random bytes as the sections of an image and its points: with 60 points, as the frame's header says,
+/// decoders of every level go as far as their bytes allow.
 #[test]
 fn random_sections_behind_a_good_file_section() {
     let mut random = Random(9);

@@ -643,7 +643,8 @@ fn to_verify_takes_no_more_memory_than_to_decode() {
             let run = bench.within_memory(mebibytes, &format!("{command} --quiet --threads {threads}"));
             run.get_output().status.success()
         };
-        // Whether threads need their memory at the same moment is chance: what suffices to decode does five times.
+        // Whether threads need their memory at the same moment is chance: what suffices to decode does five
+        // times.
         let mebibytes = (32..MEBIBYTES)
             .step_by(16)
             .find(|&most| (0..5).all(|_| succeeds(most, "decode out.lpc -o back --force")));

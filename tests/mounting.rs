@@ -146,8 +146,8 @@ fn offsets_of_several_ticks_by_a_recipe_in_single_precision_are_found() {
     assert!(exact > 0.98, "{exact}");
 }
 
-/// A scan of lasers with these elevations and azimuth offsets, in degrees, which fire from the highest to the lowest. Most
-/// returns are of the car on which the scanner is mounted.
+/// A scan of lasers with these elevations and azimuth offsets, in degrees, which fire from the highest to the
+/// lowest. Most returns are of the car on which the scanner is mounted.
 fn near_scan(recipe: Recipe, lasers: &[[f64; 2]]) -> Points {
     let units = |degrees: f64| (degrees * 1e9).round() as i64;
     let laser =

@@ -13,7 +13,8 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, WriteOptions};
 use predicates::prelude::PredicateBooleanExt;
 
-/// A message with its channel's number, topic, schema and metadata, its sequence number, both its times and its bytes.
+/// A message with its channel's number, topic, schema and metadata, its sequence number, both its times and
+/// its bytes.
 type OneMessage = (u16, String, String, BTreeMap<String, String>, u32, u64, u64, Vec<u8>);
 /// Everything that a reader of recordings can see: messages, attachments with their names, metadata.
 type Contents = (Vec<OneMessage>, Vec<(String, Vec<u8>)>, Vec<Metadata>);
@@ -193,8 +194,8 @@ fn a_recording_that_is_cut_short_is_taken_as_far_as_it_is_whole() {
 fn records_that_claim_to_be_longer_than_they_are_are_not_read() {
     let start = [mcap::MAGIC, &record(1, &[0; 8])].concat();
     let endless = [0xff; 4];
-    // A header, a schema, a channel and its metadata, a chunk, metadata: with one text of 4 GiB each. An attachment
-    // without its checksum.
+    // A header, a schema, a channel and its metadata, a chunk, metadata: with one text of 4 GiB each. An
+    // attachment without its checksum.
     let claims = [
         (3, vec![1, 0]),
         (4, vec![1, 0, 1, 0]),

@@ -1,6 +1,6 @@
-//! Consistency of documents and sources: folders use only those listed before them, files of the command line do not use
-//! each other in circles, files that code or parse parts of a stream cite their sections of FORMAT.md, and cited sections
-//! exist.
+//! Consistency of documents and sources: folders use only those listed before them, files of the command line
+//! do not use each other in circles, files that code or parse parts of a stream cite their sections of
+//! FORMAT.md, and cited sections exist.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -153,7 +153,8 @@ fn folders_are_listed_in_their_order() {
     assert_eq!(text.lines().filter_map(named).collect::<Vec<_>>(), FOLDERS);
 }
 
-/// Those of the standard library differ from system to system, so that streams, or their encoder's choices, would as well.
+/// Those of the standard library differ from system to system, so that streams, or their encoder's choices,
+/// would as well.
 #[test]
 fn functions_of_angles_and_logarithms_come_from_libm() {
     const FUNCTIONS: [&str; 20] = [

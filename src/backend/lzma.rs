@@ -37,8 +37,8 @@ impl Backend for Lzma {
     }
 }
 
-/// Compresses about as well as `xz -9e`, with the literal and position contexts that suit a sample best; [`Lzma`]
-/// decompresses the result.
+/// Compresses about as well as `xz -9e`, with the literal and position contexts that suit a sample best;
+/// [`Lzma`] decompresses the result.
 ///
 /// # Errors
 /// If the library fails.
@@ -70,8 +70,8 @@ const QUICK: u32 = 6;
 
 /// These options, but with nearly the search of `xz -9e`.
 fn hardest(options: LzmaOptions) -> LzmaOptions {
-    /// Matches of this length are taken without further search. `xz -9e` has 273, which makes scans at most 1 % shorter, or
-    /// longer, but takes up to twice as long where much repeats.
+    /// Matches of this length are taken without further search. `xz -9e` has 273, which makes scans at most
+    /// 1 % shorter, or longer, but takes up to twice as long where much repeats.
     const NICE_LENGTH: u32 = 128;
     const DEPTH: i32 = 512;
     LzmaOptions { nice_len: NICE_LENGTH, depth_limit: DEPTH, ..options }

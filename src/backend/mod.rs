@@ -110,12 +110,12 @@ pub use lzma::compress_hardest;
 pub use packing::Packing;
 pub use zstd::compress_quickly;
 
-/// The level from which on LZMA is tried where zstd is: the first level above 3. Models have no levels 4 and 5, so in
-/// effect 6.
+/// The level from which on LZMA is tried where zstd is: the first level above 3. Models have no levels 4 and
+/// 5, so in effect 6.
 pub const LZMA_LEVEL: u8 = 4;
 
-/// The shorter of what zstd and LZMA make of bytes, with the number of the back-end. LZMA takes long: it is tried only from
-/// [`LZMA_LEVEL`] on, and if `is_worth` says so, given the size that zstd achieves.
+/// The shorter of what zstd and LZMA make of bytes, with the number of the back-end. LZMA takes long: it is
+/// tried only from [`LZMA_LEVEL`] on, and if `is_worth` says so, given the size that zstd achieves.
 ///
 /// # Errors
 /// If a library fails.
@@ -130,8 +130,8 @@ pub fn shortest(bytes: &[u8], level: Level, is_worth: impl FnOnce(usize) -> bool
     Ok((ZSTD, quick))
 }
 
-/// Whether LZMA may take fewer than `most` bytes for what zstd makes `quick` bytes of. As LZMA takes long, this is judged
-/// by what it gains on a sample, if there is one.
+/// Whether LZMA may take fewer than `most` bytes for what zstd makes `quick` bytes of. As LZMA takes long,
+/// this is judged by what it gains on a sample, if there is one.
 pub fn may_lzma_pay(quick: usize, most: usize, sample: impl FnOnce() -> Option<Vec<u8>>) -> bool {
     /// The smallest fraction of zstd's size that LZMA achieves, except if repetitions lie far apart.
     const LEAST: f64 = 0.5;
@@ -148,8 +148,8 @@ pub fn may_lzma_pay(quick: usize, most: usize, sample: impl FnOnce() -> Option<V
     }
 }
 
-/// Whether a general-purpose coder took fewer bytes than the models in the last frame that tried both. In a similar frame,
-/// the encoder skips the one that was clearly longer.
+/// Whether a general-purpose coder took fewer bytes than the models in the last frame that tried both. In a
+/// similar frame, the encoder skips the one that was clearly longer.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Trial {
     /// Nothing, or that both take about the same number of bytes.
@@ -162,8 +162,8 @@ pub enum Trial {
 }
 
 impl Trial {
-    /// A number that is about the same for frames that are alike: the bytes a record that zstd makes of them, judged by a
-    /// part from the middle.
+    /// A number that is about the same for frames that are alike: the bytes a record that zstd makes of them,
+    /// judged by a part from the middle.
     pub fn likeness(bytes: &[u8], records: usize) -> f64 {
         const SAMPLE: usize = 64 << 10;
         let sample = &bytes[bytes.len().saturating_sub(SAMPLE) / 2..][..bytes.len().min(SAMPLE)];

@@ -59,7 +59,8 @@ pub enum Command {
     Repair(RepairArgs),
     /// Draw a frame as a PNG, or a whole drive as an HTML page: points, range image, regions, prediction.
     View(ViewArgs),
-    /// Run the experiments of the article behind `--mode paper`: its tables and figures, as text or as an HTML page.
+    /// Run the experiments of the article behind `--mode paper`: its tables and figures, as text or as an
+    /// HTML page.
     Bench(BenchArgs),
     /// Write a synthetic drive: KITTI .bin scans of a simulated scanner.
     Synth(SynthArgs),
@@ -90,7 +91,8 @@ pub fn check_usage<const N: usize>(subcommand: &str, wrong: [(bool, &str); N]) {
     }
 }
 
-/// The encoder's settings according to these options of a subcommand. If they do not fit together, ends the program.
+/// The encoder's settings according to these options of a subcommand. If they do not fit together, ends the
+/// program.
 pub fn encoder_config(subcommand: &str, coding: &CodingArgs, threads: usize) -> EncoderConfig {
     coding.config(threads).unwrap_or_else(|error| wrong_usage(subcommand, error))
 }
@@ -132,24 +134,26 @@ beside them, or from names that are nanoseconds or microseconds.
 pub struct EncodeArgs {
     /// Folders of scans, single scans, a recording (.mcap), or `-` for frames from stdin.
     ///
-    /// With FILE.mcap as output, a recording is copied and its clouds are compressed; with any other FILE, only the
-    /// clouds are encoded.
+    /// With FILE.mcap as output, a recording is copied and its clouds are compressed; with any other FILE,
+    /// only the clouds are encoded.
     ///
-    /// Frames are sorted by the numbers in their names. Frames from stdin are encoded as they arrive: stdin is a tar
-    /// archive or, for each frame, a line with its name, a space and its size in bytes, followed by its bytes.
+    /// Frames are sorted by the numbers in their names. Frames from stdin are encoded as they arrive: stdin
+    /// is a tar archive or, for each frame, a line with its name, a space and its size in bytes, followed by
+    /// its bytes.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
     /// File to write; `-` for stdout; or a folder, to write a file for each drive. Default: INPUT.lpc.
     ///
-    /// FILE is taken as a folder if it is one, or if it ends in a slash. Each drive of a tree becomes a file under its
-    /// path. A drive is a folder of scans, without a trailing `velodyne_points/data`, `sensors/lidar`, `velodyne` or
-    /// `data`.
+    /// FILE is taken as a folder if it is one, or if it ends in a slash. Each drive of a tree becomes a file
+    /// under its path. A drive is a folder of scans, without a trailing `velodyne_points/data`,
+    /// `sensors/lidar`, `velodyne` or `data`.
     #[arg(short, long, value_name = "FILE")]
     pub output: Option<PathBuf>,
     /// Keep all other files of the folders too, byte for byte.
     ///
-    /// This includes hidden files and empty folders, but not links, times and permissions. Scans and files are then
-    /// restored under their paths relative to the folder. Files that are already compressed are stored as they are.
+    /// This includes hidden files and empty folders, but not links, times and permissions. Scans and files
+    /// are then restored under their paths relative to the folder. Files that are already compressed are
+    /// stored as they are.
     #[arg(long)]
     pub all: bool,
     #[command(flatten)]
@@ -168,10 +172,11 @@ pub struct EncodeArgs {
     pub rm: bool,
     /// Make the run resumable.
     ///
-    /// Writes to FILE.partial, which remains after any interruption; the same command then continues after the last
-    /// complete group of frames, with the same result. FILE.partial.journal records the inputs and settings. Both are
-    /// removed when the output is complete. An output that is complete already is compared with the inputs and settings,
-    /// and left as it is. If the output is a folder, all this holds for the file of each drive.
+    /// Writes to FILE.partial, which remains after any interruption; the same command then continues after
+    /// the last complete group of frames, with the same result. FILE.partial.journal records the inputs and
+    /// settings. Both are removed when the output is complete. An output that is complete already is compared
+    /// with the inputs and settings, and left as it is. If the output is a folder, all this holds for the
+    /// file of each drive.
     #[arg(long)]
     pub resume: bool,
     /// Overwrite the output if it exists.
@@ -179,8 +184,8 @@ pub struct EncodeArgs {
     pub force: bool,
     /// Fail if anything in the input would be left out.
     ///
-    /// This means other files, hidden files, links and pipes, but not times and permissions; also an empty stdin.
-    /// Without --strict, a line on stderr counts what is left out.
+    /// This means other files, hidden files, links and pipes, but not times and permissions; also an empty
+    /// stdin. Without --strict, a line on stderr counts what is left out.
     #[arg(long)]
     pub strict: bool,
     /// Store explicitly named files that are not scans as plain bytes.
@@ -188,8 +193,9 @@ pub struct EncodeArgs {
     pub force_bytes: bool,
     /// Encode each frame from stdin to a stream of its own, and write it before the next frame is read.
     ///
-    /// Each stream follows a line with its name, a space and its size in bytes, and can be decoded independently;
-    /// `decode --messages` decodes them one by one. The scanner is fitted to the first frame and kept.
+    /// Each stream follows a line with its name, a space and its size in bytes, and can be decoded
+    /// independently; `decode --messages` decodes them one by one. The scanner is fitted to the first frame
+    /// and kept.
     #[arg(long, hide_short_help = true)]
     pub messages: bool,
     /// Recordings: compress only the clouds of this topic; may be given several times. Default: all.
@@ -304,8 +310,8 @@ impl FormatArg {
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = DECODE_EXAMPLES)]
 pub struct DecodeArgs {
-    /// Files to decode, all into one folder; `-` for stdin; a recording (.mcap); or a folder of files, each of which is
-    /// decoded into a folder named after it.
+    /// Files to decode, all into one folder; `-` for stdin; a recording (.mcap); or a folder of files, each
+    /// of which is decoded into a folder named after it.
     #[arg(required = true, value_name = "FILE")]
     pub inputs: Vec<PathBuf>,
     /// Folder to write the scans into, created if missing; `-` for stdout (a single frame only); FILE.mcap,
@@ -318,8 +324,8 @@ pub struct DecodeArgs {
     /// Frames to decode, by time since the first frame: `12s..15s` (without 15 s), `1m30s..`, `..0.5`.
     #[arg(long, allow_negative_numbers = true, value_name = "RANGE", conflicts_with = "frames")]
     pub time: Option<TimeRange>,
-    /// Decode the intact groups of frames of a damaged file, report which frames are lost, and exit with 3 if any
-    /// are.
+    /// Decode the intact groups of frames of a damaged file, report which frames are lost, and exit with 3 if
+    /// any are.
     #[arg(long)]
     pub keep_going: bool,
     /// Convert the scans from any format. Coordinates keep every bit (in text, except for the payload of a
@@ -330,7 +336,8 @@ pub struct DecodeArgs {
     /// where each frame follows a line with its name, a space and its size in bytes.
     #[arg(long, conflicts_with_all = ["frames", "time"])]
     pub messages: bool,
-    /// Recordings: decode only the clouds of this topic into the folder; may be given several times. Default: all.
+    /// Recordings: decode only the clouds of this topic into the folder; may be given several times. Default:
+    /// all.
     #[arg(long, value_name = "TOPIC")]
     pub topic: Vec<String>,
     #[command(flatten)]
@@ -354,8 +361,8 @@ headers, names, lengths, checksums and the index. The sum of all bytes is the fi
 #[derive(Debug, clap::Args)]
 #[command(after_help = STATS_NOTES)]
 pub struct StatsArgs {
-    /// File to report on; `-` for stdin. With --steps also a folder of scans or a single scan, which is encoded in
-    /// memory with the options below.
+    /// File to report on; `-` for stdin. With --steps also a folder of scans or a single scan, which is
+    /// encoded in memory with the options below.
     #[arg(value_name = "FILE")]
     pub input: PathBuf,
     /// Report the time of each coding step and the bytes it produces, like Tables II to VI of the article
@@ -368,9 +375,10 @@ pub struct StatsArgs {
     /// Measure PSNR too, point to point (D1) and point to plane (D2), as MPEG does.
     #[arg(long, requires = "against")]
     pub psnr: bool,
-    /// Decode, and write the trajectory of the scanner to this file in KITTI's pose format: a line of 12 numbers for
-    /// each frame, the rows of the 3 x 4 matrix that maps its points (metres, axes of the scanner) to the coordinates
-    /// of the first frame. The poses are accumulated from frame-to-frame registration; they are not ground truth.
+    /// Decode, and write the trajectory of the scanner to this file in KITTI's pose format: a line of 12
+    /// numbers for each frame, the rows of the 3 x 4 matrix that maps its points (metres, axes of the
+    /// scanner) to the coordinates of the first frame. The poses are accumulated from frame-to-frame
+    /// registration; they are not ground truth.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["steps", "against"])]
     pub poses: Option<PathBuf>,
     /// Overwrite the poses if they exist.
@@ -409,8 +417,8 @@ pub struct VerifyArgs {
     pub against: Vec<PathBuf>,
     /// Decode with the scalar code path instead of SIMD.
     ///
-    /// Processors without these vector units use the scalar code path. The tests check that both give the same bytes;
-    /// this option checks it for these files.
+    /// Processors without these vector units use the scalar code path. The tests check that both give the
+    /// same bytes; this option checks it for these files.
     #[arg(long)]
     pub deep: bool,
     #[command(flatten)]
@@ -510,14 +518,15 @@ Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_help = VIEW_EXAMPLES)]
 pub struct ViewArgs {
-    /// Stream, or a folder of scans or a single scan, which is encoded in memory with the options below; `-` for a
-    /// stream from stdin.
+    /// Stream, or a folder of scans or a single scan, which is encoded in memory with the options below; `-`
+    /// for a stream from stdin.
     #[arg(value_name = "INPUT")]
     pub input: PathBuf,
     /// Picture to write; `-` for stdout.
     #[arg(short, long, value_name = "FILE", required_unless_present = "html")]
     pub output: Option<PathBuf>,
-    /// HTML page to write instead, which shows all frames in 3-D and plays them in any browser; `-` for stdout.
+    /// HTML page to write instead, which shows all frames in 3-D and plays them in any browser; `-` for
+    /// stdout.
     ///
     /// The page is a single file that needs no server and no network. Its points are rounded: coordinates to
     /// 1 cm, other fields to 256 values.
@@ -535,8 +544,8 @@ pub struct ViewArgs {
     /// The original scans, to compute the error; needed for streams only.
     #[arg(long, value_name = "FOLDER", num_args = 1)]
     pub against: Vec<PathBuf>,
-    /// Width of a range image column in pixels; a row is four times as high. Default: chosen so that the picture is
-    /// about 1500 pixels wide.
+    /// Width of a range image column in pixels; a row is four times as high. Default: chosen so that the
+    /// picture is about 1500 pixels wide.
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(1..=16))]
     pub scale: Option<u16>,
     /// Overwrite the picture or page if it exists.
@@ -600,8 +609,8 @@ pub struct BenchArgs {
     /// Print the report as JSON.
     #[arg(long, conflicts_with = "csv")]
     pub json: bool,
-    /// Print the report as one CSV table with a line for each value: section, series (row), x (column), its unit, y
-    /// (value), its unit, and whether it is measured or published.
+    /// Print the report as one CSV table with a line for each value: section, series (row), x (column), its
+    /// unit, y (value), its unit, and whether it is measured or published.
     #[arg(long)]
     pub csv: bool,
     /// Also write a self-contained HTML page with plots to this file; `-` for stdout, instead of text.

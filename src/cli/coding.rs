@@ -23,26 +23,28 @@ pub struct CodingArgs {
     pub max_error: Option<Length>,
     /// Effort, also as -1 (fast) to -9 (small). Default: 6.
     ///
-    /// The context coder has the levels 1, 2, 3, 6, 7, 8 and 9. From level 8 on, frames are predicted from the frame
-    /// before; where the scanner stands still, from level 6 on.
+    /// The context coder has the levels 1, 2, 3, 6, 7, 8 and 9. From level 8 on, frames are predicted from
+    /// the frame before; where the scanner stands still, from level 6 on.
     #[arg(long, value_name = "1..9", value_parser = level)]
     pub level: Option<Level>,
     /// Fields of .bin records, such as xyzirt. Default: xyzi.
     ///
-    /// Default for .pcd.bin: xyzir. A letter for each float32: x, y, z, i(ntensity), r(ing), t(ime), _ for another; or
-    /// a list of fields with their types, such as x,y,z,intensity:u8,ring:u16,time:f64,_:u8*4. Without --layout,
-    /// `encode` examines the files and reports if their records have another length.
+    /// Default for .pcd.bin: xyzir. A letter for each float32: x, y, z, i(ntensity), r(ing), t(ime), _ for
+    /// another; or a list of fields with their types, such as x,y,z,intensity:u8,ring:u16,time:f64,_:u8*4.
+    /// Without --layout, `encode` examines the files and reports if their records have another length.
     #[arg(long, value_name = "FIELDS")]
     pub layout: Option<HeaderlessLayout>,
     /// What decoding guarantees. Default: bounded with --max-error, else exact.
     #[arg(long, value_enum, hide_short_help = true, help_heading = "Coding")]
     pub mode: Option<ModeArg>,
-    /// Bounded mode: round intensities to multiples of this step, in the file's unit, such as 0.05. Default: exact.
+    /// Bounded mode: round intensities to multiples of this step, in the file's unit, such as 0.05. Default:
+    /// exact.
     #[arg(long, value_name = "STEP", hide_short_help = true, help_heading = "Coding")]
     pub intensity_step: Option<IntensityStep>,
     /// Frames in a group. Default: 10, or 30 at level 9.
     ///
-    /// Groups are decoded independently: longer groups compress better, shorter ones allow faster random access.
+    /// Groups are decoded independently: longer groups compress better, shorter ones allow faster random
+    /// access.
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000),
           hide_short_help = true, help_heading = "Coding")]
     pub gop: Option<u32>,
@@ -62,10 +64,12 @@ pub struct CodingArgs {
         help_heading = "Coding"
     )]
     pub order: OrderArg,
-    /// Registration method, which estimates the motion of the scanner since the frame before. Default: projective.
+    /// Registration method, which estimates the motion of the scanner since the frame before. Default:
+    /// projective.
     #[arg(long, value_enum, value_name = "METHOD", hide_short_help = true, help_heading = "Coding")]
     pub registration: Option<RegistrationArg>,
-    /// Pass prediction residuals to a general-purpose back-end as they are, not as differences along the snake's path.
+    /// Pass prediction residuals to a general-purpose back-end as they are, not as differences along the
+    /// snake's path.
     #[arg(long, hide_short_help = true, help_heading = "Coding")]
     pub no_snake: bool,
     /// Byte layout of residuals for a general-purpose back-end. Default: the best one for the back-end.
@@ -74,7 +78,8 @@ pub struct CodingArgs {
     /// Rate of jpeg or jpeg2000: average bits for the range of a return, or `lossless`. Default: 2.
     #[arg(long, value_name = "BITS", hide_short_help = true, help_heading = "Coding")]
     pub rate: Option<RateArg>,
-    /// Maximum number of jpeg or jpeg2000 passes, 1 to 8; each codes the residual of the passes before. Default: 2.
+    /// Maximum number of jpeg or jpeg2000 passes, 1 to 8; each codes the residual of the passes before.
+    /// Default: 2.
     #[arg(long, value_name = "N", hide_short_help = true, help_heading = "Coding")]
     pub passes: Option<u8>,
     /// Range image of paper mode; the calibrated one loses no point. Default: ideal.
@@ -83,8 +88,8 @@ pub struct CodingArgs {
     /// Columns of the ideal range image. Default: 2000, of 0.18 degrees each.
     #[arg(long, value_name = "N", hide_short_help = true, help_heading = "Paper mode")]
     pub columns: Option<u32>,
-    /// Range step of the range image, such as 1mm or 1cm; the ideal image also allows `float` for float32 ranges.
-    /// Default: 1mm for the ideal image, the step of the scanner for the calibrated one.
+    /// Range step of the range image, such as 1mm or 1cm; the ideal image also allows `float` for float32
+    /// ranges. Default: 1mm for the ideal image, the step of the scanner for the calibrated one.
     #[arg(long, value_name = "LENGTH", hide_short_help = true, help_heading = "Paper mode")]
     pub step: Option<StepArg>,
     /// Whether intensities are kept. Default: none; in the other modes exact.
@@ -124,7 +129,8 @@ pub struct RegionArgs {
     /// How regions are formed. Default: article.
     #[arg(long, value_enum, value_name = "KIND", hide_short_help = true, help_heading = REGIONS)]
     pub regions: Option<RegionsArg>,
-    /// Lambda of equation 5, for fitted regions: the squared error, in steps, that one bit is worth. Default: 1000.
+    /// Lambda of equation 5, for fitted regions: the squared error, in steps, that one bit is worth.
+    /// Default: 1000.
     #[arg(long, value_name = "LAMBDA", hide_short_help = true, help_heading = REGIONS)]
     pub lambda: Option<f64>,
     /// Largest distance from the ground plane at which points support it. Default: 0.15m.

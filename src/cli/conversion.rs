@@ -42,7 +42,8 @@ pub struct Converter {
     format: Option<FileFormat>,
     /// The frames' own names, by the names of the written files.
     names: Mutex<HashMap<String, String>>,
-    /// Files without points, which cannot be converted: their number, and the number and name of the first frame of them.
+    /// Files without points, which cannot be converted: their number, and the number and name of the first
+    /// frame of them.
     pointless: Mutex<(u64, Option<(u64, String)>)>,
 }
 

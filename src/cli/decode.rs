@@ -132,8 +132,8 @@ fn frame_count(path: &Path, limits: Limits) -> Result<Option<u64>> {
 }
 
 /// Decodes as the arguments say: all frames or an error, or the intact ones. Calls `work` on each frame, and
-/// passes the results to `sink`, in order. Returns the number of files beside the scans that are left out because only
-/// some frames are wanted; of a damaged stream, those that are intact.
+/// passes the results to `sink`, in order. Returns the number of files beside the scans that are left out
+/// because only some frames are wanted; of a damaged stream, those that are intact.
 fn decode<T: Send>(
     args: &DecodeArgs,
     input: Input,

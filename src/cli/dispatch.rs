@@ -1,4 +1,5 @@
-//! `lidarpc encode` and `lidarpc decode`: chooses by the kinds of the input and the output what encodes or decodes them.
+//! `lidarpc encode` and `lidarpc decode`: chooses by the kinds of the input and the output what encodes or
+//! decodes them.
 
 use std::path::PathBuf;
 
@@ -62,7 +63,8 @@ fn check_encode(args: &EncodeArgs, config: &EncoderConfig) {
     );
 }
 
-/// The output of `encode` if none is given: a file beside the input, with its name and the extension of streams.
+/// The output of `encode` if none is given: a file beside the input, with its name and the extension of
+/// streams.
 fn default_stream(args: &EncodeArgs) -> PathBuf {
     let only = match &args.inputs[..] {
         [input] => Some(input),

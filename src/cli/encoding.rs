@@ -26,12 +26,12 @@ pub struct Done {
     pub was_complete: bool,
 }
 
-/// Encodes files, with `--resume` in one or more runs. An output that is complete is then compared with the files and the
-/// settings.
+/// Encodes files, with `--resume` in one or more runs. An output that is complete is then compared with the
+/// files and the settings.
 ///
 /// # Errors
-/// If a file cannot be read; if the output exists, cannot be written, or decodes to something else; if a complete one
-/// differs.
+/// If a file cannot be read; if the output exists, cannot be written, or decodes to something else; if a
+/// complete one differs.
 pub fn encode_found(
     args: &EncodeArgs,
     config: &EncoderConfig,

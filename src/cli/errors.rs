@@ -51,8 +51,8 @@ pub fn about(error: Error, name: &str) -> anyhow::Error {
     }
 }
 
-/// The contexts, which name the file, then what is wrong and what to do about it. Errors of files all have one; those
-/// without are of stdout.
+/// The contexts, which name the file, then what is wrong and what to do about it. Errors of files all have
+/// one; those without are of stdout.
 fn message(error: &anyhow::Error) -> String {
     let mut parts = Vec::new();
     if error.is::<io::Error>() && error.chain().count() == 1 {

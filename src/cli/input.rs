@@ -1,4 +1,5 @@
-//! Inputs: what kind they are of, streams to read from a file or from stdin, and the scans to compare them with.
+//! Inputs: what kind they are of, streams to read from a file or from stdin, and the scans to compare them
+//! with.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -121,7 +122,8 @@ pub fn is_stream(path: &Path) -> bool {
     is_dash(path) || is_pipe(path) || first_bytes(path) == Some(MAGIC)
 }
 
-/// Whether an input is a recording: by its first bytes, or, if it does not exist yet or cannot be read twice, by its name.
+/// Whether an input is a recording: by its first bytes, or, if it does not exist yet or cannot be read twice,
+/// by its name.
 pub fn is_recording(path: &Path) -> bool {
     const START: &[u8; 8] = b"\x89MCAP0\r\n";
     match first_bytes(path) {
@@ -202,8 +204,8 @@ pub fn open(path: &Path) -> anyhow::Result<Input> {
     Input::open(path).map_err(|error| about(error, &name_of(path)))
 }
 
-/// The frames selected by `--frames` or `--time`; without these, all. Tells how many are left out because they have no
-/// time.
+/// The frames selected by `--frames` or `--time`; without these, all. Tells how many are left out because
+/// they have no time.
 ///
 /// # Errors
 /// If there is no frame at that time, or if the times cannot be read.

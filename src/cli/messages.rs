@@ -1,5 +1,5 @@
-//! Messages: frames that arrive one by one and are encoded to a stream each, or such streams that arrive and are decoded.
-//! Each frame or stream follows a line with its name, a space and its size in bytes.
+//! Messages: frames that arrive one by one and are encoded to a stream each, or such streams that arrive and
+//! are decoded. Each frame or stream follows a line with its name, a space and its size in bytes.
 
 use std::io::{self, Write};
 use std::time::Instant;

@@ -47,8 +47,8 @@ pub fn main() -> ExitCode {
     main_of(std::env::args_os()).into()
 }
 
-/// Like [`main`], within a process that may do other things, and with these arguments, the first of which is the program's
-/// name. Wrong usage ends the process.
+/// Like [`main`], within a process that may do other things, and with these arguments, the first of which is
+/// the program's name. Wrong usage ends the process.
 pub fn main_of(args: impl IntoIterator<Item = OsString>) -> u8 {
     let args = Args::parse_from(levels_in_short(args));
     match run(&args) {
@@ -69,12 +69,12 @@ fn levels_in_short(args: impl IntoIterator<Item = OsString>) -> impl Iterator<It
     })
 }
 
-/// Keeps freed memory for the next frame instead of returning it to the system and requesting it again page by page,
-/// and lets all threads reuse it instead of only the thread that freed it.
+/// Keeps freed memory for the next frame instead of returning it to the system and requesting it again page
+/// by page, and lets all threads reuse it instead of only the thread that freed it.
 ///
-/// With the first measure, encoding the city drive on two threads takes 0.92 of the CPU time at level 1 and 0.96 at
-/// level 6 (medians of nine pairs of runs). With the second, 60 frames of the road drive take 78 to 85 MB instead of
-/// 103 to 124 MB on two threads, in the same time.
+/// With the first measure, encoding the city drive on two threads takes 0.92 of the CPU time at level 1 and
+/// 0.96 at level 6 (medians of nine pairs of runs). With the second, 60 frames of the road drive take 78 to
+/// 85 MB instead of 103 to 124 MB on two threads, in the same time.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn keep_memory() {
     /// In bytes: the largest value that glibc accepts.

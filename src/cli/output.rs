@@ -226,12 +226,12 @@ impl FolderOutput {
         self
     }
 
-    /// Writes one scan, whose bytes `write` passes on piece by piece, under a temporary name; from any thread.
-    /// Returns the number of bytes.
+    /// Writes one scan, whose bytes `write` passes on piece by piece, under a temporary name; from any
+    /// thread. Returns the number of bytes.
     ///
     /// # Errors
-    /// If the name is not a [safe path](is_safe_path), occurs twice, or is that of an existing file and `force`
-    /// is not set; if writing fails; and the errors of `write`.
+    /// If the name is not a [safe path](is_safe_path), occurs twice, or is that of an existing file and
+    /// `force` is not set; if writing fails; and the errors of `write`.
     pub fn write(&self, name: &str, write: impl FnOnce(&mut Give<'_>) -> Result<()>) -> Result<u64> {
         let refuse = |what: String| Err(Error::Input { path: self.folder.clone(), what });
         // The name of an empty folder ends in a slash.
@@ -358,7 +358,8 @@ impl Syncer {
     }
 
     /// Ensures that all scans are on disk. Those that wait are synced in parallel, as file systems then write
-    /// their journals once for all: 5,000 small files take half a second, instead of seven one after the other.
+    /// their journals once for all: 5,000 small files take half a second, instead of seven one after the
+    /// other.
     fn finish(&mut self) -> Result<()> {
         const AT_A_TIME: usize = 16;
         let left = self.end()?;
@@ -440,8 +441,8 @@ pub fn create_folders(folder: &Path) -> Result<()> {
     fs::create_dir_all(folder).map_err(|error| not_created(folder, within, error))
 }
 
-/// The error that `path` cannot be created. A folder in which nothing can be created, as /proc, may say that it does not
-/// exist; the error is then about that folder.
+/// The error that `path` cannot be created. A folder in which nothing can be created, as /proc, may say that
+/// it does not exist; the error is then about that folder.
 pub fn not_created(path: &Path, within: &Path, error: io::Error) -> Error {
     if error.kind() == io::ErrorKind::NotFound && within.is_dir() {
         let what = format!("takes no new files or folders ({error}); choose another folder");

@@ -93,7 +93,8 @@ pub fn outputs(output: &Path) -> [PathBuf; 3] {
     [target, stream, journal]
 }
 
-/// The complete output, if an earlier run left it. Its journal is removed, in case that run ended just before removing it.
+/// The complete output, if an earlier run left it. Its journal is removed, in case that run ended just before
+/// removing it.
 ///
 /// # Errors
 /// If it cannot be opened.

@@ -15,7 +15,8 @@ const WORDS: std::ops::RangeInclusive<usize> = 3..=12;
 const GAIN: f64 = 0.9;
 /// Minimum share of values that are plausible coordinates.
 const PLAUSIBLE: f64 = 0.9;
-/// Minimum share of records that are seen in about the direction of the record before, if the record length is right.
+/// Minimum share of records that are seen in about the direction of the record before, if the record length
+/// is right.
 const STEADY: f64 = 0.7;
 
 /// The beginning of a file.
@@ -88,9 +89,9 @@ fn cost(bytes: &[u8], stride: usize) -> usize {
     backend::compress_quickly(&planes).map_or(usize::MAX, |coded| coded.len())
 }
 
-/// The share of records whose azimuth is about that of the record before, if records have `stride` bytes, and x and y are
-/// the values number `first` and `first + 1`: scanners turn slowly, whether files hold firing after firing or row after
-/// row.
+/// The share of records whose azimuth is about that of the record before, if records have `stride` bytes, and
+/// x and y are the values number `first` and `first + 1`: scanners turn slowly, whether files hold firing
+/// after firing or row after row.
 fn steadiness(samples: &[&Sample], stride: usize, first: usize) -> f64 {
     /// In degrees: more than the offsets of a scanner's lasers.
     const NEAR: f32 = 8.0;
@@ -109,8 +110,8 @@ fn steadiness(samples: &[&Sample], stride: usize, first: usize) -> f64 {
     f64::from(near) / f64::from(all.max(1))
 }
 
-/// Whether records of `stride` bytes are several shorter ones, one after the other: then x, y and z are about as large in
-/// each. Such records may be steady although single ones are not, if lasers far apart take turns.
+/// Whether records of `stride` bytes are several shorter ones, one after the other: then x, y and z are about
+/// as large in each. Such records may be steady although single ones are not, if lasers far apart take turns.
 fn are_several(samples: &[&Sample], stride: usize) -> bool {
     /// Largest factor between medians.
     const ALIKE: f32 = 4.0;
@@ -129,8 +130,8 @@ fn are_several(samples: &[&Sample], stride: usize) -> bool {
         .any(|words| (0..3).all(|at| are_alike(at, words)))
 }
 
-/// Whether the first value of each record hardly ever falls, if records have `stride` bytes and room for coordinates
-/// behind it.
+/// Whether the first value of each record hardly ever falls, if records have `stride` bytes and room for
+/// coordinates behind it.
 fn rises(samples: &[&Sample], stride: usize) -> bool {
     /// At most one value in this number is smaller than the one before.
     const RARE: usize = 20;
@@ -149,8 +150,8 @@ fn f32_at(record: &[u8], at: usize) -> f32 {
     f32::from_le_bytes(std::array::from_fn(|n| record[WORD * at + n]))
 }
 
-/// The layout of records of `stride` bytes whose coordinates begin with the value number `first`; `None` if these are no
-/// coordinates. A value before them is a time.
+/// The layout of records of `stride` bytes whose coordinates begin with the value number `first`; `None` if
+/// these are no coordinates. A value before them is a time.
 fn floats(samples: &[&Sample], stride: usize, first: usize) -> Option<HeaderlessLayout> {
     let share = |at: usize, is: &dyn Fn(f32) -> bool| {
         let records = samples.iter().flat_map(|sample| sample.start.chunks_exact(stride));

@@ -48,8 +48,8 @@ struct Report {
 }
 
 impl Report {
-    /// The report on clouds that were copied. `encoded`: the settings, and whether the output was verified, if they were
-    /// encoded.
+    /// The report on clouds that were copied. `encoded`: the settings, and whether the output was verified,
+    /// if they were encoded.
     fn of(
         output: &Path,
         copied: &CopySummary,
@@ -111,7 +111,8 @@ impl Report {
         )
     }
 
-    /// The report on a stream of the clouds alone in a line. `fidelity`: how accurately their points are restored.
+    /// The report on a stream of the clouds alone in a line. `fidelity`: how accurately their points are
+    /// restored.
     fn summary_of_clouds(&self, fidelity: &str) -> String {
         format!(
             "{}: {}, the clouds alone, {fidelity}{} in {:.1} s",

@@ -1,5 +1,5 @@
-//! What several commands report: how accurately points are restored, what is left out of the inputs, and how small the
-//! output is.
+//! What several commands report: how accurately points are restored, what is left out of the inputs, and how
+//! small the output is.
 
 use crate::container::FrameKind;
 use crate::files::sequence::LeftOut;
@@ -11,8 +11,8 @@ use serde::Serialize;
 use super::args::EncodeArgs;
 use super::table;
 
-/// How accurately points are restored, in words. If `encoded` is given, also how many points paper mode dropped, or how
-/// many scans bounded mode restores exactly.
+/// How accurately points are restored, in words. If `encoded` is given, also how many points paper mode
+/// dropped, or how many scans bounded mode restores exactly.
 pub fn fidelity(config: &EncoderConfig, encoded: Option<&Encoded>) -> String {
     let positions = match (config.positions, encoded) {
         (Positions::Exact, _) => "lossless".to_owned(),

@@ -15,8 +15,8 @@ pub struct TimeRange {
 }
 
 impl TimeRange {
-    /// The frames in this range of times, from the first to the last, and the number of frames before and after them that
-    /// have no time.
+    /// The frames in this range of times, from the first to the last, and the number of frames before and
+    /// after them that have no time.
     ///
     /// # Errors
     /// If no frame has a time, or none is in the range.

@@ -1,5 +1,5 @@
-//! Trees: each drive of a tree is encoded to a stream of its own in a folder, and each stream of a folder is decoded to a
-//! folder of its own.
+//! Trees: each drive of a tree is encoded to a stream of its own in a folder, and each stream of a folder is
+//! decoded to a folder of its own.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -76,8 +76,8 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     Ok(())
 }
 
-/// Encodes drives, `jobs` at a time. Their reports, in the order of the names of their streams; errors are printed as they
-/// occur.
+/// Encodes drives, `jobs` at a time. Their reports, in the order of the names of their streams; errors are
+/// printed as they occur.
 fn encode_each(
     args: &EncodeArgs,
     config: &EncoderConfig,
@@ -135,8 +135,8 @@ fn print(done: &[DriveReport], complete: usize, is_verbose: bool, start: Instant
     );
 }
 
-/// The drives of the inputs, and what is left out of these. As the same names may occur in several inputs, folders are
-/// searched one by one, and files are grouped by their folders.
+/// The drives of the inputs, and what is left out of these. As the same names may occur in several inputs,
+/// folders are searched one by one, and files are grouped by their folders.
 fn drives(args: &EncodeArgs, quiet: bool) -> Result<(Vec<Drive>, LeftOut)> {
     let mut inputs: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
     for input in &args.inputs {

@@ -45,8 +45,8 @@ pub struct Lost {
 
 /// Reads the intact parts of a stream: all records whose checksum matches, wherever they are. One intact copy
 /// of a scanner is enough, before or after the groups that use it. The numbers of the frames come from the
-/// index, if it is intact; so does the order of the groups. Records in another order than the index lists are reported as a
-/// loss of zero frames, because a sequential decoder rejects them.
+/// index, if it is intact; so does the order of the groups. Records in another order than the index lists are
+/// reported as a loss of zero frames, because a sequential decoder rejects them.
 pub struct SalvageReader<R> {
     input: R,
     limits: Limits,
@@ -56,8 +56,8 @@ pub struct SalvageReader<R> {
     next: usize,
     scanners: ScannerRecords,
     index: Option<Index>,
-    /// By the offset of each record that is a group: the group that is returned in its turn, and the place of that in the
-    /// stream's index, if it has one.
+    /// By the offset of each record that is a group: the group that is returned in its turn, and the place of
+    /// that in the stream's index, if it has one.
     groups: HashMap<u64, (FoundRecord, Option<usize>)>,
     /// The locations of the records so far, to be compared with the stream's own index.
     seen: Index,
@@ -223,8 +223,8 @@ impl<R: Read + Seek> SalvageReader<R> {
         Ok(Salvaged::Group { first_frame, bytes: found.offset..found.end(), group })
     }
 
-    /// What is wrong with the order of the records, and where, although no byte of them is damaged. After a loss, that the
-    /// records do not agree with the index says nothing new.
+    /// What is wrong with the order of the records, and where, although no byte of them is damaged. After a
+    /// loss, that the records do not agree with the index says nothing new.
     fn fault_of_order(&mut self) -> Result<Option<(u64, &'static str)>> {
         let end = match self.records[..] {
             [.., index, end] if (index.kind, end.kind) == (INDEX, END) => Some((index, end)),

@@ -25,8 +25,8 @@ pub struct Joined {
 /// names of all frames, are in memory.
 ///
 /// # Errors
-/// Naming the stream: if it cannot be read or is damaged, or if it holds a frame that no decoder could write into the
-/// same folder as the earlier ones, because of its name. Without a name: if the output fails. The
+/// Naming the stream: if it cannot be read or is damaged, or if it holds a frame that no decoder could write
+/// into the same folder as the earlier ones, because of its name. Without a name: if the output fails. The
 /// output is not a complete stream then.
 pub fn cat<R: Read>(
     inputs: impl IntoIterator<Item = Result<Named<StreamReader<R>>>>,

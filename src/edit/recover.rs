@@ -24,12 +24,12 @@ pub enum Recovered {
 /// Decodes all intact groups of a damaged stream, and passes frames and losses to `sink`, in order. A group
 /// is lost if its record is damaged or missing, or if every copy of a scanner that it needs is. Frames keep
 /// their numbers if the index is intact; otherwise the recovered frames are numbered consecutively. An
-/// undamaged stream is recovered completely. Returns the number of intact files beside the scans that are left out because
-/// only some frames are requested.
+/// undamaged stream is recovered completely. Returns the number of intact files beside the scans that are
+/// left out because only some frames are requested.
 ///
 /// # Errors
-/// If the input fails, contains no record at all or has another version of the format, if its index tells that there
-/// are no such frames, or if the sink fails.
+/// If the input fails, contains no record at all or has another version of the format, if its index tells
+/// that there are no such frames, or if the sink fails.
 pub fn recover(
     input: impl Read + Seek + Send,
     options: &DecodeOptions,
@@ -101,8 +101,8 @@ enum Part {
     Lost(Lost),
 }
 
-/// The parts of a damaged stream that hold the requested frames. Of a group that occurs twice, as where a stream was
-/// appended to itself, the first copy.
+/// The parts of a damaged stream that hold the requested frames. Of a group that occurs twice, as where a
+/// stream was appended to itself, the first copy.
 struct RecoveredGroups<R> {
     reader: SalvageReader<R>,
     scanners: UsedScanners,

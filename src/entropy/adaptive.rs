@@ -55,8 +55,8 @@ fn code_symbol<C: BitCoder>(nodes: &mut [AdaptiveBit], coder: &mut C, bits: u32,
     node as u32 - (1 << bits)
 }
 
-/// Codes an integer whose length in bits, 63 at most, is known: the two bits below the highest by `nodes`, of which
-/// there are four, and the others as plain bits.
+/// Codes an integer whose length in bits, 63 at most, is known: the two bits below the highest by `nodes`, of
+/// which there are four, and the others as plain bits.
 pub fn code_below_highest<C: BitCoder>(
     nodes: &mut [AdaptiveBit],
     coder: &mut C,

@@ -38,8 +38,8 @@ impl Refinement {
     /// The refined log odds of an estimate in a context.
     #[inline]
     pub fn refine(&self, context: usize, odds: f32) -> (Refined, f32) {
-        // In a sum with 2^23 the lowest bit has the value 1, and subtracting one half makes rounding go down. A
-        // place on a point may count as the end of the part below it, which gives the same odds.
+        // In a sum with 2^23 the lowest bit has the value 1, and subtracting one half makes rounding go down.
+        // A place on a point may count as the end of the part below it, which gives the same odds.
         const UNIT: f32 = (1 << 23) as f32;
         let place = (odds.clamp(-REACH, REACH) + REACH) * FINENESS;
         let rounded = (place - 0.5).max(0.0) + UNIT;

@@ -1,7 +1,8 @@
-//! Arrow files, which pandas and pyarrow write as Feather, version 2 (`.feather`, `.arrow`): batches of records stored
-//! field by field, as they are or compressed with LZ4. FORMAT.md 9.
+//! Arrow files, which pandas and pyarrow write as Feather, version 2 (`.feather`, `.arrow`): batches of
+//! records stored field by field, as they are or compressed with LZ4. FORMAT.md 9.
 //!
-//! Source: Apache Arrow, "Arrow Columnar Format", IPC file format, with `Message.fbs`, `Schema.fbs` and `File.fbs`.
+//! Source: Apache Arrow, "Arrow Columnar Format", IPC file format, with `Message.fbs`, `Schema.fbs` and
+//! `File.fbs`.
 
 use byteorder::{ByteOrder, LittleEndian};
 
@@ -28,8 +29,8 @@ struct Column {
 }
 
 impl Header {
-    /// Reads the schema of the file that `bytes` begin with; `None` if it is damaged, or if some column does not hold
-    /// little-endian numbers.
+    /// Reads the schema of the file that `bytes` begin with; `None` if it is damaged, or if some column does
+    /// not hold little-endian numbers.
     pub(super) fn parse(bytes: &[u8]) -> Option<Self> {
         const BIG_ENDIAN: [u8; 2] = [1, 0];
         let schema = bytes.strip_prefix(MAGIC).and(Message::at(bytes, START))?.header(Message::SCHEMA)?;
@@ -85,11 +86,12 @@ impl Column {
     }
 }
 
-/// Splits a file. Its prefix is the file without the bodies of the record batches, with zeros in place of the numbers
-/// that follow from them. `None` if the file has other parts, missing values, or another compression, or if it unfolds to
-/// far more than a scan does.
+/// Splits a file. Its prefix is the file without the bodies of the record batches, with zeros in place of the
+/// numbers that follow from them. `None` if the file has other parts, missing values, or another compression,
+/// or if it unfolds to far more than a scan does.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
-    /// The bytes of all values are at most this, and this multiple of the file's: scans take about twice as many.
+    /// The bytes of all values are at most this, and this multiple of the file's: scans take about twice as
+    /// many.
     const FREE: usize = 1 << 20;
     const MOST_UNFOLDED: usize = 32;
     let most = bytes.len().checked_mul(MOST_UNFOLDED)?.checked_add(FREE)?;
@@ -219,11 +221,11 @@ fn alignment(is_wide: bool) -> usize {
     if is_wide { 64 } else { 8 }
 }
 
-/// Bytes of two numbers: a node, which is the number of records and that of missing values; or a buffer, which is an
-/// offset and a length.
+/// Bytes of two numbers: a node, which is the number of records and that of missing values; or a buffer,
+/// which is an offset and a length.
 const PAIR: usize = 16;
-/// Bytes of a block, the footer's entry for a batch: the offset of its message, the size of the metadata and, from this
-/// byte on, the length of the body.
+/// Bytes of a block, the footer's entry for a batch: the offset of its message, the size of the metadata and,
+/// from this byte on, the length of the body.
 const BLOCK: usize = BLOCK_LENGTH + 8;
 const BLOCK_LENGTH: usize = 16;
 
@@ -248,7 +250,8 @@ struct Batch {
     block: usize,
 }
 
-/// The record batches of a file, or of its prefix; `None` if it has other messages but the schema, or missing values.
+/// The record batches of a file, or of its prefix; `None` if it has other messages but the schema, or missing
+/// values.
 fn batches(bytes: &[u8], columns: usize) -> Option<Vec<Batch>> {
     const BATCHES: usize = 3;
     let end = bytes.len().checked_sub(END)?;
@@ -276,7 +279,8 @@ fn batches(bytes: &[u8], columns: usize) -> Option<Vec<Batch>> {
 }
 
 impl Batch {
-    /// The place of the buffer with the values of a column; that of the bits which tell missing ones comes before.
+    /// The place of the buffer with the values of a column; that of the bits which tell missing ones comes
+    /// before.
     fn buffer(&self, column: usize) -> usize {
         self.buffers + PAIR * (2 * column + 1)
     }
@@ -352,8 +356,8 @@ impl<'b> Message<'b> {
     }
 }
 
-/// A table of a FlatBuffer, at this place of the file. Fields are known by their numbers; one that has its usual value
-/// may be left out.
+/// A table of a FlatBuffer, at this place of the file. Fields are known by their numbers; one that has its
+/// usual value may be left out.
 #[derive(Clone, Copy)]
 struct Table<'b> {
     bytes: &'b [u8],

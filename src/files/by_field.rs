@@ -25,8 +25,8 @@ pub(super) fn parse(
     Some(parts.file(layout_of(fields, Wrapping::ByField(widenings))?, &body))
 }
 
-/// The fields, how they are widened, and the complete records of values that are stored field by field, where numbers
-/// may become float32 as in [`widened::narrowed`]. `None` if the layout of the fields is not valid.
+/// The fields, how they are widened, and the complete records of values that are stored field by field, where
+/// numbers may become float32 as in [`widened::narrowed`]. `None` if the layout of the fields is not valid.
 pub(super) fn narrowed(
     fields: &[Field],
     halves: &[bool],
@@ -50,7 +50,8 @@ pub(super) fn stored(layout: &Layout, widenings: &[Widening]) -> impl Iterator<I
     })
 }
 
-/// The values of records, field by field, whose doubles and halves are float32 in the fields that are widened.
+/// The values of records, field by field, whose doubles and halves are float32 in the fields that are
+/// widened.
 ///
 /// # Errors
 /// Those of [`widened::write`].

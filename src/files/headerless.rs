@@ -1,10 +1,10 @@
 //! Records without a header: KITTI's `.bin`, nuScenes' `.pcd.bin`, and records whose fields the user
-//! specifies; the `.bin` of the Oxford Radar RobotCar data set, which holds KITTI's fields one after the other; and
-//! those of NCLT, with 16-bit integers.
+//! specifies; the `.bin` of the Oxford Radar RobotCar data set, which holds KITTI's fields one after the
+//! other; and those of NCLT, with 16-bit integers.
 //!
-//! Sources: A. Geiger et al., "Vision meets Robotics: The KITTI Dataset" (raw data development
-//! kit); nuScenes devkit, `LidarPointCloud.from_file`; robotcar-dataset-sdk, `load_velodyne_binary`; N. Carlevaris-Bianco
-//! et al., "University of Michigan North Campus long-term vision and lidar dataset".
+//! Sources: A. Geiger et al., "Vision meets Robotics: The KITTI Dataset" (raw data development kit); nuScenes
+//! devkit, `LidarPointCloud.from_file`; robotcar-dataset-sdk, `load_velodyne_binary`; N. Carlevaris-Bianco et
+//! al., "University of Michigan North Campus long-term vision and lidar dataset".
 
 use std::fmt;
 use std::str::FromStr;
@@ -120,9 +120,9 @@ pub(super) fn parse_kitti(bytes: &[u8]) -> Option<ScanFile> {
 /// The coordinates of the NCLT data set: 16-bit integers in steps of 5 mm.
 const NCLT: Axis = Axis { per_metre: 200.0, offset: -100.0 };
 
-/// Whether a file holds records of the NCLT data set: x, y and z as 16-bit integers, then intensity and laser, a byte
-/// each. Nothing says so but the values: the coordinates are up to 100 m, and an HDL-32E has 32 lasers. In a file of
-/// float32, the last byte of a value is as small only for numbers near 0.
+/// Whether a file holds records of the NCLT data set: x, y and z as 16-bit integers, then intensity and
+/// laser, a byte each. Nothing says so but the values: the coordinates are up to 100 m, and an HDL-32E has 32
+/// lasers. In a file of float32, the last byte of a value is as small only for numbers near 0.
 fn is_nclt(bytes: &[u8]) -> bool {
     const RECORD: usize = 8;
     const FEWEST: usize = 100;

@@ -60,9 +60,10 @@ impl Header {
         Some(Header { others, scales, records, start: LittleEndian::read_u32(&header[START..]) as usize })
     }
 
-    /// How coordinates follow from the integers: with the header's offset, rounded to whole steps (many programs write
-    /// the least coordinates, unrounded); or with offset 0, in case float32 is too coarse for the former, as on a map.
-    /// Only for steps that are decimal fractions of a metre, since the models know such grids.
+    /// How coordinates follow from the integers: with the header's offset, rounded to whole steps (many
+    /// programs write the least coordinates, unrounded); or with offset 0, in case float32 is too coarse for
+    /// the former, as on a map. Only for steps that are decimal fractions of a metre, since the models know
+    /// such grids.
     fn axes(&self) -> Option<[[Axis; 3]; 2]> {
         let per_metre = |scale: f64| (0..=5).map(|digits| 10f64.powi(digits)).find(|n| (1.0 / n) == scale);
         let [x, y, z] = self.scales.map(|[scale, offset]| {

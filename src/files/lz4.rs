@@ -1,7 +1,8 @@
-//! LZ4 frames as liblz4 makes them in one call (`LZ4F_compressFrame`), the compression inside Arrow files. FORMAT.md 9.
+//! LZ4 frames as liblz4 makes them in one call (`LZ4F_compressFrame`), the compression inside Arrow files.
+//! FORMAT.md 9.
 //!
-//! The compressor finds exactly the matches that liblz4 finds at its fast level, because a file comes back byte for
-//! byte only if compressing its values again gives the same bytes.
+//! The compressor finds exactly the matches that liblz4 finds at its fast level, because a file comes back
+//! byte for byte only if compressing its values again gives the same bytes.
 //!
 //! Source: LZ4 1.10, `doc/lz4_Frame_format.md` and `doc/lz4_Block_format.md`.
 
@@ -11,7 +12,8 @@ use std::ops::Range;
 use lz4_flex::block::decompress_into_with_dict;
 
 const MAGIC: [u8; 4] = 0x184d_2204_u32.to_le_bytes();
-/// The descriptor of a frame of independent blocks of 64 KiB, and its checksum; for values that fill one block.
+/// The descriptor of a frame of independent blocks of 64 KiB, and its checksum; for values that fill one
+/// block.
 const INDEPENDENT: [u8; 3] = [0x60, 0x40, 0x82];
 /// The descriptor of a frame of blocks that refer to those before them, and its checksum.
 const LINKED: [u8; 3] = [0x40, 0x40, 0xc0];
@@ -140,8 +142,8 @@ impl Positions {
         Positions { slots: vec![0; if is_linked { 1 << 12 } else { 1 << 13 }], is_linked }
     }
 
-    /// Enters a position, which eight bytes or more must follow; returns the one before with the same hash, 0 if there
-    /// is none.
+    /// Enters a position, which eight bytes or more must follow; returns the one before with the same hash, 0
+    /// if there is none.
     fn replace(&mut self, input: &[u8], at: usize) -> usize {
         let bytes = &input[at..at + 8];
         let slot = if self.is_linked {
@@ -182,8 +184,8 @@ struct Sequences {
 }
 
 impl Sequences {
-    /// Appends literals and a match that is `more` bytes longer than the shortest; `None` if the block might become too
-    /// long.
+    /// Appends literals and a match that is `more` bytes longer than the shortest; `None` if the block might
+    /// become too long.
     fn push(&mut self, literals: &[u8], distance: usize, more: usize) -> Option<()> {
         let length = self.out.len() + 1 + literals.len();
         self.limit(length + literals.len() / 255 + 3 + LAST_LITERALS)?;

@@ -176,8 +176,9 @@ pub fn parse_with(name: &str, bytes: Vec<u8>, headerless: Option<&HeaderlessLayo
     }
 }
 
-/// As [`parse`], for a file that is to be compared with `like`: if both have the same header, or none, the record layout of
-/// `like` is used. Where PCL's padding is, for one, may be guessed otherwise from other values.
+/// As [`parse`], for a file that is to be compared with `like`: if both have the same header, or none, the
+/// record layout of `like` is used. Where PCL's padding is, for one, may be guessed otherwise from other
+/// values.
 pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
     if like.is_opaque() {
         return ScanFile::opaque(name, bytes);
@@ -196,8 +197,8 @@ pub fn parse_like(like: &ScanFile, name: &str, bytes: Vec<u8>) -> ScanFile {
     }
 }
 
-/// The scan that the file of a decoded scan holds, whose `bytes` are given, if writing may round its values, as by the
-/// digits of text. `None` if the file holds them as they are.
+/// The scan that the file of a decoded scan holds, whose `bytes` are given, if writing may round its values,
+/// as by the digits of text. `None` if the file holds them as they are.
 pub fn rounded_by_file(scan: &ScanFile, bytes: Vec<u8>) -> Option<ScanFile> {
     match scan.layout.wrapping {
         Wrapping::Plain | Wrapping::BigEndian | Wrapping::PcdCompressed { .. } => None,
@@ -242,8 +243,8 @@ fn comes_back_as(file: &ScanFile, bytes: &[u8]) -> bool {
     file.to_bytes().is_ok_and(|written| written == bytes)
 }
 
-/// Passes the bytes of a file to `give`, piece by piece. A piece of text is small, even if the text of all records
-/// would be many times their size.
+/// Passes the bytes of a file to `give`, piece by piece. A piece of text is small, even if the text of all
+/// records would be many times their size.
 ///
 /// # Errors
 /// [`Error::Corrupt`](crate::ground::error::Error::Corrupt) if the points do not match the layout, which a

@@ -35,11 +35,11 @@ fn natural_key(name: &str) -> impl Iterator<Item = (u8, usize, &[u8])> {
     })
 }
 
-/// True if a path from a stream can be created below any folder without leaving it, and means no device or drive on any
-/// system. (Windows cannot have some other names, such as `13:02.bin`.) It is one or several names with `/` between
-/// them, of 4,095 bytes at most together. Each name has 1 to 255 bytes; it is not `.` or `..`, nor one of Windows'
-/// device names (`NUL`, `COM1.bin`) or drives (`C:x`); and it has no backslash, no control characters, and no dot or
-/// space at its end.
+/// True if a path from a stream can be created below any folder without leaving it, and means no device or
+/// drive on any system. (Windows cannot have some other names, such as `13:02.bin`.) It is one or several
+/// names with `/` between them, of 4,095 bytes at most together. Each name has 1 to 255 bytes; it is not `.`
+/// or `..`, nor one of Windows' device names (`NUL`, `COM1.bin`) or drives (`C:x`); and it has no backslash,
+/// no control characters, and no dot or space at its end.
 pub fn is_safe_path(path: &str) -> bool {
     fault_of_path(path).is_none()
 }

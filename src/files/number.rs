@@ -120,9 +120,10 @@ impl NumberWriter {
         Ok(())
     }
 
-    /// The value as it is rounded to nearest, ties to even: a tie that is rounded away from zero is replaced by the next
-    /// number. Of the number of decimals that write the value exactly, `is_tie` says whether the last is the only one
-    /// that is rounded off; as the last decimal of a binary fraction is a 5, the value is then a tie.
+    /// The value as it is rounded to nearest, ties to even: a tie that is rounded away from zero is replaced
+    /// by the next number. Of the number of decimals that write the value exactly, `is_tie` says whether the
+    /// last is the only one that is rounded off; as the last decimal of a binary fraction is a 5, the value
+    /// is then a tie.
     fn settled(&self, value: f64, is_tie: impl Fn(i32) -> bool) -> f64 {
         let is_away = self.printf.ties_away && is_tie(decimal::exact_decimals(value));
         if is_away { value.next_up() } else { value }
@@ -189,8 +190,8 @@ impl NumberWriter {
     }
 }
 
-/// Whether a number may be midway between two texts of this number of digits, the first of which stands for this power
-/// of ten: then one more digit writes it exactly.
+/// Whether a number may be midway between two texts of this number of digits, the first of which stands for
+/// this power of ten: then one more digit writes it exactly.
 fn is_tie(value: f64, digits: usize, exponent: i32) -> bool {
     let decimals = digits as i32 - exponent;
     decimals <= 0 || decimals == decimal::exact_decimals(value)

@@ -228,8 +228,8 @@ impl Orders {
         Some(Kind { scalar, width: size, is_half: letter == 'f' && size == 2 })
     }
 
-    /// A field of a structure: its name, its type, and the shape of its values if it has several; and whether these are
-    /// half-precision numbers.
+    /// A field of a structure: its name, its type, and the shape of its values if it has several; and whether
+    /// these are half-precision numbers.
     fn field(&mut self, part: &Literal) -> Option<(Field, bool)> {
         let Literal::Sequence(parts) = part else { return None };
         let (name, kind, shape) = match &parts[..] {

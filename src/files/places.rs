@@ -1,7 +1,7 @@
 //! The positions of the fields in a binary record whose header is wrong.
 //!
-//! PCL writes `COUNT 0` for padding, and some programs declare the gaps in their structures incorrectly. The length
-//! of the body then shows how long a record is, and its bytes show where the fields are.
+//! PCL writes `COUNT 0` for padding, and some programs declare the gaps in their structures incorrectly. The
+//! length of the body then shows how long a record is, and its bytes show where the fields are.
 
 use super::field::Declared;
 use crate::scan::{Field, MAX_STRIDE};
@@ -17,8 +17,8 @@ struct Placed<'f, 'a> {
     at: usize,
 }
 
-/// The fields of the records with which `body` begins, according to its bytes; `None` if there is no reason to doubt
-/// the declaration.
+/// The fields of the records with which `body` begins, according to its bytes; `None` if there is no reason
+/// to doubt the declaration.
 pub(super) fn find(fields: &[Declared], body: &[u8], points: u64) -> Option<Vec<Field>> {
     let declared: u64 = fields.iter().map(|field| u64::from(field.width)).sum();
     let first_empty = fields.iter().position(|field| field.width == 0);
@@ -58,8 +58,8 @@ fn declared_places<'f, 'a>(fields: &'f [Declared<'a>]) -> Option<Vec<Placed<'f, 
     Some(placed)
 }
 
-/// Places each value at a multiple of its size, as compilers do; declared padding counts only before field number
-/// `until`. `None` if the record is too long.
+/// Places each value at a multiple of its size, as compilers do; declared padding counts only before field
+/// number `until`. `None` if the record is too long.
 fn aligned_places<'f, 'a>(fields: &'f [Declared<'a>], until: usize) -> Option<Vec<Placed<'f, 'a>>> {
     let mut at = 0;
     let mut placed = Vec::new();

@@ -141,8 +141,8 @@ pub(super) fn copy_values(
     }
 }
 
-/// Passes the records of `file` to `give`, which may change them, a block of records at a time: the inverse of [`split`].
-/// The file must have passed [`check`].
+/// Passes the records of `file` to `give`, which may change them, a block of records at a time: the inverse
+/// of [`split`]. The file must have passed [`check`].
 ///
 /// # Errors
 /// Those of `give`.

@@ -41,9 +41,9 @@ impl Table {
         self.is_named && names_coordinates(self.names.iter().map(String::as_str))
     }
 
-    /// Whether the numbers of a file, or of its beginning, look like points although nothing names them: there are
-    /// many lines and not too many columns, most numbers in the first three columns have a decimal point, unlike
-    /// counters, and the first column is not ascending, unlike times.
+    /// Whether the numbers of a file, or of its beginning, look like points although nothing names them:
+    /// there are many lines and not too many columns, most numbers in the first three columns have a decimal
+    /// point, unlike counters, and the first column is not ascending, unlike times.
     pub(super) fn looks_like_points(&self, bytes: &[u8]) -> bool {
         const FEWEST_LINES: usize = 100;
         const MOST_LINES: usize = 1000;
@@ -72,8 +72,8 @@ impl Table {
     }
 }
 
-/// Whether the first line of a file names coordinates between commas, semicolons or tabs: its lines may hold other than
-/// numbers then, such as labels in words, but each is a point.
+/// Whether the first line of a file names coordinates between commas, semicolons or tabs: its lines may hold
+/// other than numbers then, such as labels in words, but each is a point.
 pub(super) fn starts_with_names(bytes: &[u8]) -> bool {
     let Some(line) = first_line(bytes).filter(|line| line.len() < bytes.len()) else { return false };
     let names: Vec<String> = line.trim().split([',', ';', '\t']).map(name_in).collect();
@@ -108,8 +108,8 @@ fn names_in(line: &str, format: &TextFormat) -> Vec<String> {
     names.filter(|name| separator != ' ' || !name.is_empty()).map(name_in).collect()
 }
 
-/// A name without its quotation marks and its unit. ParaView and VeloView name the coordinates Points:0, Points:1 and
-/// Points:2; Ouster's program names those of the first return X1, Y1 and Z1.
+/// A name without its quotation marks and its unit. ParaView and VeloView name the coordinates Points:0,
+/// Points:1 and Points:2; Ouster's program names those of the first return X1, Y1 and Z1.
 fn name_in(text: &str) -> String {
     let name = text.trim().trim_matches('"').split(['(', '[']).next().unwrap_or_default().trim();
     let number = name.strip_prefix("Points").and_then(|rest| rest.rsplit_once(':')?.1.parse::<usize>().ok());

@@ -41,13 +41,13 @@ impl<R: Read> TarReader<R> {
         TarReader { input, padding: 0, folder: None, left_out: LeftOut::default() }
     }
 
-    /// The next scan; `None` after the last. Scans of the first folder are named without it, others by their paths,
-    /// so that drives in several folders do not collide. Hidden files, files not recognised as scans, and symbolic
-    /// links are left out, like those of a folder.
+    /// The next scan; `None` after the last. Scans of the first folder are named without it, others by their
+    /// paths, so that drives in several folders do not collide. Hidden files, files not recognised as scans,
+    /// and symbolic links are left out, like those of a folder.
     ///
     /// # Errors
-    /// If the input fails, is cut short, or is not a tar archive; also if a scan is a hard link, since the bytes
-    /// that it shares with an earlier file have gone by.
+    /// If the input fails, is cut short, or is not a tar archive; also if a scan is a hard link, since the
+    /// bytes that it shares with an earlier file have gone by.
     pub fn next_scan(&mut self) -> Result<Option<ArrivedFile>> {
         while let Some(Header { path, kind, size }) = self.next_header()? {
             self.padding = size.wrapping_neg() % BLOCK;

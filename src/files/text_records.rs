@@ -99,8 +99,8 @@ impl<'a> Body<'a> {
         Some(Body { format, records: tokens.len() / scalars.len(), values, rest })
     }
 
-    /// A body in which the values of one byte are written as such, as C++ streams write characters and old versions of PCL
-    /// wrote their fields: any byte, even one that separates values elsewhere.
+    /// A body in which the values of one byte are written as such, as C++ streams write characters and old
+    /// versions of PCL wrote their fields: any byte, even one that separates values elsewhere.
     fn with_characters(body: &'a [u8], scalars: &[Option<Scalar>], points: u64) -> Option<Self> {
         let of_numbers: Vec<Option<Scalar>> =
             scalars.iter().copied().filter(|scalar| !is_character(*scalar)).collect();
@@ -150,7 +150,8 @@ struct Characters<'a> {
 }
 
 impl<'a> Characters<'a> {
-    /// Takes the values out of the next line. Returns what follows it; `None` if it is not like the lines before.
+    /// Takes the values out of the next line. Returns what follows it; `None` if it is not like the lines
+    /// before.
     fn read_line(&mut self, mut rest: &'a [u8], scalars: &[Option<Scalar>]) -> Option<&'a [u8]> {
         let mut scratch = Vec::new();
         for (at, &scalar) in scalars.iter().enumerate() {
@@ -191,8 +192,8 @@ impl<'a> Characters<'a> {
     }
 }
 
-/// How numbers are printed, and the columns with the values of each. `None` if there are no columns, or if no rule
-/// restores the texts of one.
+/// How numbers are printed, and the columns with the values of each. `None` if there are no columns, or if no
+/// rule restores the texts of one.
 fn find_format(scalars: &[Option<Scalar>], tokens: &[&str]) -> Option<(Printf, Vec<Column>, Vec<Vec<u8>>)> {
     let is_long = |token: &&str| {
         let exponent =
@@ -218,7 +219,8 @@ fn find_columns(
     columns.collect::<Option<_>>().filter(|_| !tokens.is_empty())
 }
 
-/// The width up to which spaces fill each column's texts, or 0; `None` if they are filled up in another way, or none is.
+/// The width up to which spaces fill each column's texts, or 0; `None` if they are filled up in another way,
+/// or none is.
 fn widths(columns: usize, tokens: &[&str]) -> Option<Vec<u8>> {
     let is_filled = |text: &&str| text.starts_with(' ');
     let width = |at: usize| {
@@ -376,7 +378,8 @@ pub(super) fn first_line(bytes: &[u8]) -> Option<&str> {
 }
 
 impl TextFormat {
-    /// The format of a line, without columns. If spaces fill numbers up, their widths are not known yet, and 0.
+    /// The format of a line, without columns. If spaces fill numbers up, their widths are not known yet,
+    /// and 0.
     pub(super) fn of_line(line: &str) -> Self {
         let text = line.trim_end_matches(['\r', '\n']);
         let separator = [Separator::Tab, Separator::Semicolon, Separator::Comma]
@@ -408,8 +411,8 @@ impl TextFormat {
         if self.crlf { "\r\n" } else { "\n" }
     }
 
-    /// The texts between the separators of a line, with the spaces that fill them up; the line end may be missing. `None` if
-    /// the line does not have this format.
+    /// The texts between the separators of a line, with the spaces that fill them up; the line end may be
+    /// missing. `None` if the line does not have this format.
     pub(super) fn texts<'a>(&self, line: &'a str) -> Option<impl Iterator<Item = &'a str>> {
         let separator = self.separator.character();
         let mut text = line.strip_suffix(self.line_end()).unwrap_or(line);
@@ -450,8 +453,8 @@ impl TextFormat {
         })
     }
 
-    /// Takes the texts out of a line; `None`, with nothing taken, if the line does not have this format. `scratch` spares
-    /// an allocation for each line.
+    /// Takes the texts out of a line; `None`, with nothing taken, if the line does not have this format.
+    /// `scratch` spares an allocation for each line.
     fn read_line<'a>(
         &self,
         line: &'a str,

@@ -69,7 +69,8 @@ fn of_line(line: &str) -> Option<i64> {
 }
 
 /// The time of a scan, if its name contains exactly one number that is nanoseconds (19 digits) or
-/// microseconds (16 digits) in a year from 2001 to 2099, or nanoseconds of Argoverse's clock (18 digits), which begin in 1980.
+/// microseconds (16 digits) in a year from 2001 to 2099, or nanoseconds of Argoverse's clock (18 digits),
+/// which begin in 1980.
 pub fn of_name(name: &str) -> Option<ScanTime> {
     let runs = name.split(|letter: char| !letter.is_ascii_digit());
     let times = runs.filter_map(|digits| {

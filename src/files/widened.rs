@@ -1,5 +1,6 @@
-//! Records whose doubles are made from float32 or from few digits, as written by programs that compute in double
-//! precision, and records with half-precision numbers, or with 16-bit integers in place of coordinates. FORMAT.md 9.
+//! Records whose doubles are made from float32 or from few digits, as written by programs that compute in
+//! double precision, and records with half-precision numbers, or with 16-bit integers in place of
+//! coordinates. FORMAT.md 9.
 
 use std::fmt::Write;
 
@@ -10,8 +11,9 @@ use crate::ground::error::{Error, Result};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{Axis, Column, Field, Layout, NumberRule, Scalar, ScanFile, Widening, Wrapping};
 
-/// Splits a file as [`plain_file`](super::records::plain_file) does, but doubles that float32 determines become
-/// float32: x, y and z only all three. So do the `u16` of fields that `halves` says are half-precision numbers.
+/// Splits a file as [`plain_file`](super::records::plain_file) does, but doubles that float32 determines
+/// become float32: x, y and z only all three. So do the `u16` of fields that `halves` says are half-precision
+/// numbers.
 pub(super) fn parse(
     layout: Layout,
     halves: &[bool],
@@ -56,8 +58,8 @@ pub(super) struct Narrowed {
     pub body: Vec<u8>,
 }
 
-/// Complete records with float32 in place of doubles that float32 determines, and of the `u16` of `halves`; `None` if
-/// there are none. The layout of the fields must be valid.
+/// Complete records with float32 in place of doubles that float32 determines, and of the `u16` of `halves`;
+/// `None` if there are none. The layout of the fields must be valid.
 pub(super) fn narrowed(fields: &[Field], halves: &[bool], body: &[u8]) -> Option<Narrowed> {
     let mut widenings = widenings(fields, body);
     widenings
@@ -133,8 +135,8 @@ fn decimal_of<'b>(values: impl Iterator<Item = &'b [u8; 8]> + Clone) -> Widening
     rules(values.clone()).into_iter().find(is_made_by).map_or(Widening::None, Widening::Decimal)
 }
 
-/// The rules by which numbers may have been written that are read as these doubles, the likeliest first; none if some
-/// double has more digits than a float32.
+/// The rules by which numbers may have been written that are read as these doubles, the likeliest first; none
+/// if some double has more digits than a float32.
 fn rules<'b>(values: impl Iterator<Item = &'b [u8; 8]>) -> Vec<NumberRule> {
     /// The most digits that a float32 needs.
     const MOST: usize = 9;
@@ -209,7 +211,8 @@ fn half(value: &[u8; 4]) -> [u8; 2] {
     } else if magnitude >= INFINITE {
         0x7c00
     } else if magnitude < 1.0 / 16384.0 {
-        // All numbers are multiples of 2^-24. The largest rounds to the first that is not subnormal, as it should.
+        // All numbers are multiples of 2^-24. The largest rounds to the first that is not subnormal, as it
+        // should.
         round_ties_even((magnitude * 16_777_216.0).into()) as u32
     } else {
         let bits = magnitude.to_bits();

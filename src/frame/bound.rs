@@ -93,8 +93,8 @@ impl Bound {
             && *channels == after.channels
     }
 
-    /// By how many metres writing the decoded positions to a file displaced those that are then beyond the bound, at
-    /// most; 0 if none is.
+    /// By how many metres writing the decoded positions to a file displaced those that are then beyond the
+    /// bound, at most; 0 if none is.
     pub fn displaced_by(&self, original: &[[f32; 3]], decoded: &[[f32; 3]], written: &[[f32; 3]]) -> f64 {
         let points = original.iter().zip(decoded).zip(written);
         let beyond = points.filter(|((original, _), written)| !self.is_near(original, written));

@@ -194,8 +194,8 @@ impl<'s> TrackEncoder<'s> {
         let (positions, intensity) = (Positions::Exact, Intensity::Exact);
         let config = EncoderConfig { positions, intensity, ..self.config.clone() };
         let (exact, _) = self.candidate(&before, &config, &scan, &original)?;
-        // The other fields of a record stay exact. If they follow from the position, they may take more bytes with a
-        // larger error than the positions save.
+        // The other fields of a record stay exact. If they follow from the position, they may take more bytes
+        // with a larger error than the positions save.
         let channels_grow =
             bounded.as_ref().is_some_and(|b| b.encoded.of_channels() > exact.encoded.of_channels());
         if self.error_um.is_none() && channels_grow {
@@ -221,7 +221,8 @@ impl<'s> TrackEncoder<'s> {
         encoded
     }
 
-    /// Codes a frame as the one after `before` with these settings. Returns the decoded file too, unless it is the original.
+    /// Codes a frame as the one after `before` with these settings. Returns the decoded file too, unless it
+    /// is the original.
     fn candidate(
         &mut self,
         before: &TrackState,
@@ -236,8 +237,8 @@ impl<'s> TrackEncoder<'s> {
         Ok((Candidate { encoded, scanner, after: take(&mut self.state) }, lossy))
     }
 
-    /// Codes a frame as the one after `before` with at most this error; `None` if the decoded file would exceed it. If only
-    /// the digits of its text are to blame, the points are coded with a smaller error.
+    /// Codes a frame as the one after `before` with at most this error; `None` if the decoded file would
+    /// exceed it. If only the digits of its text are to blame, the points are coded with a smaller error.
     fn within_bound(
         &mut self,
         before: &TrackState,
@@ -428,22 +429,23 @@ impl<'s> TrackEncoder<'s> {
     }
 }
 
-/// Whether the models may do worse than a general-purpose compressor, as many records are no returns of a range image
-/// and all must be restored exactly.
+/// Whether the models may do worse than a general-purpose compressor, as many records are no returns of a
+/// range image and all must be restored exactly.
 fn may_be_unexplained(frame: &FrameParts, config: &EncoderConfig) -> bool {
     let is_exact = config.positions == Positions::Exact && config.intensity == Intensity::Exact;
     is_exact && frame.parameters.source.is_none() && 4 * frame.outside() >= frame.records
 }
 
-/// Whether that is likely, now that the frame is coded: many points are outside the image, or the positions of blanks
-/// take many bytes.
+/// Whether that is likely, now that the frame is coded: many points are outside the image, or the positions
+/// of blanks take many bytes.
 fn is_unexplained(frame: &FrameParts, sections: &[Section], file_size: u64) -> bool {
     let blanks = sections.iter().filter(|section| section.kind == SectionKind::Blanks);
     let of_blanks: usize = blanks.map(|section| section.payload.len()).sum();
     4 * frame.strays >= frame.records || 16 * of_blanks as u64 >= file_size
 }
 
-/// Whether the corrections of an exact frame take so many bits that its points may take fewer without a scanner.
+/// Whether the corrections of an exact frame take so many bits that its points may take fewer without a
+/// scanner.
 fn are_corrections_costly(frame: &FrameParts, sections: &[Section]) -> bool {
     /// Where a scanner's recipe is not known, but the grid is, corrections take fewer bits a return.
     const MOST_BITS: usize = 10;

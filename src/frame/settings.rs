@@ -69,8 +69,8 @@ pub enum FrameOrder {
 /// How the prediction of ranges is chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PredictionChoice {
-    /// The same prediction for every frame, as chosen by the user. [`Prediction::Inter`]: each P frame from the
-    /// frame before or, if that is smaller, as an I frame; that is, from regions or by context.
+    /// The same prediction for every frame, as chosen by the user. [`Prediction::Inter`]: each P frame from
+    /// the frame before or, if that is smaller, as an I frame; that is, from regions or by context.
     Always(Prediction),
     /// For each frame, the prediction that makes it smallest.
     Smallest,
@@ -192,8 +192,8 @@ impl EncoderConfig {
         }
     }
 
-    /// The default prediction with this coder: whichever makes a frame smallest, or, with a back-end or an image
-    /// coder in paper mode, as in the article.
+    /// The default prediction with this coder: whichever makes a frame smallest, or, with a back-end or an
+    /// image coder in paper mode, as in the article.
     pub fn default_prediction(&self) -> PredictionChoice {
         match (self.coder, self.positions) {
             (Coder::Backend(_) | Coder::Image(_), Positions::Formula) => {

@@ -18,8 +18,9 @@ pub struct WholeFile {
 }
 
 impl WholeFile {
-    /// A file coded by a general-purpose compressor, if that takes fewer than `most` bytes. A slow one is tried only if it
-    /// may, also judging by `trial`: what that showed in an earlier frame, and then in this one.
+    /// A file coded by a general-purpose compressor, if that takes fewer than `most` bytes. A slow one is
+    /// tried only if it may, also judging by `trial`: what that showed in an earlier frame, and then in this
+    /// one.
     ///
     /// # Errors
     /// If the compressor's library fails.

@@ -76,7 +76,8 @@ pub fn rough_sine(turns: f64) -> f64 {
     parabola + 0.225 * (parabola * parabola.abs() - parabola)
 }
 
-/// A difference of azimuths in ticks, of which a turn has `turn`, as one of half a turn at most: the shorter way round.
+/// A difference of azimuths in ticks, of which a turn has `turn`, as one of half a turn at most: the shorter
+/// way round.
 #[inline]
 pub fn shorter_way(ticks: i64, turn: i64) -> i64 {
     // Divisions are slow, and most differences are less than a turn.

@@ -45,8 +45,8 @@ pub fn significant(value: f64, digits: u32) -> Option<(u64, i32)> {
         .filter(|(number, _)| *number >= least)
 }
 
-/// The integer nearest to a number times 10^`decimals`, of two equally near ones the even one. The number is not negative.
-/// None if the integer has more than 63 bits, or for more than 18 decimals.
+/// The integer nearest to a number times 10^`decimals`, of two equally near ones the even one. The number is
+/// not negative. None if the integer has more than 63 bits, or for more than 18 decimals.
 pub fn fixed(value: f64, decimals: u32) -> Option<u64> {
     let power = 10u64.checked_pow(decimals).filter(|_| decimals <= 18)?;
     let (mantissa, exponent) = mantissa_and_exponent(value);
@@ -65,7 +65,8 @@ pub fn fixed(value: f64, decimals: u32) -> Option<u64> {
     u64::try_from(integer).ok().filter(|integer| integer >> 63 == 0)
 }
 
-/// The number of decimals with which a positive number is written exactly: that of binary digits after its point.
+/// The number of decimals with which a positive number is written exactly: that of binary digits after its
+/// point.
 pub fn exact_decimals(value: f64) -> i32 {
     let (mantissa, exponent) = mantissa_and_exponent(value);
     (-exponent - mantissa.trailing_zeros() as i32).max(0)

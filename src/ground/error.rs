@@ -188,8 +188,8 @@ impl Error {
         }
     }
 
-    /// The number of the frame that the error is about, and a message that names it. `frame` is that number, if the caller
-    /// knows it and the error does not.
+    /// The number of the frame that the error is about, and a message that names it. `frame` is that number,
+    /// if the caller knows it and the error does not.
     pub fn about_frame(&self, frame: Option<u64>) -> (Option<u64>, String) {
         let frame = self.place().and_then(|place| place.frame).or(frame);
         let what = self.to_string();

@@ -1,6 +1,6 @@
-//! Variable-length integers (LEB128): seven bits per byte, least significant first, with the top bit set in all bytes
-//! but the last. Signed integers are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3. Also floating-point numbers, in
-//! eight bytes. FORMAT.md 1.
+//! Variable-length integers (LEB128): seven bits per byte, least significant first, with the top bit set in
+//! all bytes but the last. Signed integers are zigzag coded first: 0, -1, 1, -2 become 0, 1, 2, 3. Also
+//! floating-point numbers, in eight bytes. FORMAT.md 1.
 
 use std::io::{ErrorKind, Read};
 use std::ops::RangeInclusive;
@@ -71,8 +71,8 @@ pub fn read_within(input: &mut impl Read, what: &str, range: RangeInclusive<u64>
     }
 }
 
-/// Converts a number of a stream to a length or an index. One that is too large for this machine becomes the largest
-/// `usize`, which every check rejects.
+/// Converts a number of a stream to a length or an index. One that is too large for this machine becomes the
+/// largest `usize`, which every check rejects.
 pub fn saturated(number: u64) -> usize {
     usize::try_from(number).unwrap_or(usize::MAX)
 }

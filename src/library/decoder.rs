@@ -41,8 +41,8 @@ pub struct Decoder<R> {
 /// A group, decoded up to the last requested scan.
 struct KeptGroup {
     first_frame: u64,
-    /// All are checked, also those that are decoded only because later ones depend on them: together they then take no
-    /// more memory than the sizes of their files, which the group's reader has limited, allow.
+    /// All are checked, also those that are decoded only because later ones depend on them: together they
+    /// then take no more memory than the sizes of their files, which the group's reader has limited, allow.
     scans: Vec<Result<Scan>>,
     open: PartlyDecodedGroup,
 }

@@ -77,9 +77,9 @@ impl<W: Write> Encoder<W> {
         Ok(Encoder { config, open: Vec::new(), state: State::Waiting(out) })
     }
 
-    /// Adds the next scan. The scan that completes the first group also has the scanner fitted, which takes up to a
-    /// few seconds. Later, the scan that completes a group waits for a free thread; with one thread, it has the group
-    /// encoded.
+    /// Adds the next scan. The scan that completes the first group also has the scanner fitted, which takes
+    /// up to a few seconds. Later, the scan that completes a group waits for a free thread; with one thread,
+    /// it has the group encoded.
     ///
     /// # Errors
     /// If this scan, or an earlier one, exceeds the limits that every decoder has, or has a name that not

@@ -90,7 +90,8 @@ impl Scan {
     }
 
     /// A file, given its name and bytes. The extension determines its format (`.bin`, `.pcd.bin`, `.pcd`,
-    /// `.ply`, `.las`, `.csv`, `.txt`, `.xyz`, `.npy`, `.feather`). A file of any other kind is a scan without points.
+    /// `.ply`, `.las`, `.csv`, `.txt`, `.xyz`, `.npy`, `.feather`). A file of any other kind is a scan
+    /// without points.
     pub fn from_file(name: &str, bytes: Vec<u8>) -> Self {
         Scan::of_parts(files::parse(name, bytes), Stamp::default())
     }
@@ -176,8 +177,8 @@ impl Scan {
         })
     }
 
-    /// The named channels, in the order of the records: all fields except the position, and of a file's fields with
-    /// the same name only the first.
+    /// The named channels, in the order of the records: all fields except the position, and of a file's
+    /// fields with the same name only the first.
     pub fn channels(&self) -> impl Iterator<Item = ChannelInfo<'_>> {
         let mut names = HashSet::from([""]);
         self.channels.iter().filter(move |channel| names.insert(&channel.name)).map(|channel| ChannelInfo {

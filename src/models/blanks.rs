@@ -1,6 +1,6 @@
 //! The positions of blanks, the records without a measured point: the formula's position at a range of 0
-//! (whose zeros have the signs of the direction), one of two positions that earlier blanks had (such as zeros and NaN,
-//! in turn), or anything else. FORMAT.md 8.19.
+//! (whose zeros have the signs of the direction), one of two positions that earlier blanks had (such as zeros
+//! and NaN, in turn), or anything else. FORMAT.md 8.19.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::scanner::Coordinates;

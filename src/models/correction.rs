@@ -1,5 +1,5 @@
-//! The corrections: values added to the formula's coordinates, in units of the file's grid; as adaptive bits, and as
-//! tokens. FORMAT.md 8.7 and 8.16.
+//! The corrections: values added to the formula's coordinates, in units of the file's grid; as adaptive bits,
+//! and as tokens. FORMAT.md 8.7 and 8.16.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel, TokenCoder};
 use crate::ground::rounding::round_ties_even;
@@ -149,9 +149,10 @@ const GAP: usize = 0;
 /// Number of contexts of a correction.
 pub const CORRECTION_CONTEXTS: usize = 4;
 
-/// Corrects positions, which are on a grid (metres), given the formula's positions. The encoder replaces a position by that
-/// in `wanted` if the two differ or, if an error is allowed, are farther apart than it. As tokens: the number of points
-/// without a correction, then the correction of the next point, in units of the grid.
+/// Corrects positions, which are on a grid (metres), given the formula's positions. The encoder replaces a
+/// position by that in `wanted` if the two differ or, if an error is allowed, are farther apart than it. As
+/// tokens: the number of points without a correction, then the correction of the next point, in units of the
+/// grid.
 pub fn correct_positions<C: TokenCoder>(
     coder: &mut C,
     grid: Coordinates,

@@ -1,5 +1,5 @@
-//! Values as integers: integer types as they are, floating-point values as multiples of a step if they are such,
-//! otherwise as their rank among all floating-point numbers. FORMAT.md 8.9, "Scale".
+//! Values as integers: integer types as they are, floating-point values as multiples of a step if they are
+//! such, otherwise as their rank among all floating-point numbers. FORMAT.md 8.9, "Scale".
 
 use byteorder::{ByteOrder, LittleEndian};
 

@@ -1,4 +1,5 @@
-//! Which cells of the range image hold a return: mixed bits, and tokens of eight cells. FORMAT.md 8.3 and 8.16.
+//! Which cells of the range image hold a return: mixed bits, and tokens of eight cells. FORMAT.md 8.3 and
+//! 8.16.
 
 use crate::entropy::{BitCoder, Counter, MixedBits, TokenCoder};
 use crate::ground::grid::Grid;

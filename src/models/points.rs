@@ -1,8 +1,9 @@
 //! Points one by one, for scans without a scanner model and for the strays of others. FORMAT.md 8.4.
 //!
-//! A point that is the same as an earlier one to the bit is coded as its repeat. All others are told which point their
-//! laser measured before, and predicted from that one and from how other lasers have turned since: first the larger
-//! horizontal coordinate, then the other one in the expected direction, then the height at the resulting distance.
+//! A point that is the same as an earlier one to the bit is coded as its repeat. All others are told which
+//! point their laser measured before, and predicted from that one and from how other lasers have turned
+//! since: first the larger horizontal coordinate, then the other one in the expected direction, then the
+//! height at the resulting distance.
 
 mod predecessors;
 mod repeats;
@@ -23,19 +24,23 @@ use crate::scanner::Coordinates;
 pub struct PointModel {
     repeats: RepeatModel,
     trails: TrailModel,
-    /// Of points that continue a trail, and of those that begin one. Large, so there are none before the first point.
+    /// Of points that continue a trail, and of those that begin one. Large, so there are none before the
+    /// first point.
     coordinates: Option<Box<[[CoordinateModel; 3]; 2]>>,
     parallax: Parallax,
 }
 
-/// What an encoder finds out about positions before they are coded. That of a decoder, which knows nothing, is empty.
+/// What an encoder finds out about positions before they are coded. That of a decoder, which knows nothing,
+/// is empty.
 #[derive(Clone, Debug)]
 pub struct Analysis {
     grid: Coordinates,
     repeats: Vec<Repeat>,
-    /// For each point that is not a repeat, the index of its predecessor on the same trail; both count such points only.
+    /// For each point that is not a repeat, the index of its predecessor on the same trail; both count such
+    /// points only.
     before: Vec<Option<usize>>,
-    /// If channels may tell the trails: about the number of bytes by the best channel, and by the order of the points.
+    /// If channels may tell the trails: about the number of bytes by the best channel, and by the order of
+    /// the points.
     pub sizes_by: Option<TrailSizes>,
 }
 
@@ -79,8 +84,8 @@ fn not_repeated<T>(points: &[T], is_own: impl Fn(&T) -> bool) -> Vec<usize> {
 const SAMPLE: usize = 4 * predecessors::BLOCK;
 
 impl PointModel {
-    /// For an encoder: what `code` needs to know about positions before it codes them. Most of them are on `grid`; `None`
-    /// means one that is found. A channel of these points may tell which laser measured them.
+    /// For an encoder: what `code` needs to know about positions before it codes them. Most of them are on
+    /// `grid`; `None` means one that is found. A channel of these points may tell which laser measured them.
     pub fn analyse(
         &self,
         grid: Option<Coordinates>,
@@ -94,8 +99,8 @@ impl PointModel {
         Analysis { grid, repeats, before, sizes_by }
     }
 
-    /// Codes positions one after the other. Their grid, if it is not given, comes first. An encoder passes the analysis
-    /// of these positions. Returns what is known of each point from then on.
+    /// Codes positions one after the other. Their grid, if it is not given, comes first. An encoder passes
+    /// the analysis of these positions. Returns what is known of each point from then on.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -125,8 +130,8 @@ impl PointModel {
         encoder.finish().len() + self.size_of_own(analysis.grid, positions, &own, &analysis.before)
     }
 
-    /// For an encoder: the number of the point before each of the points `own` in its trail, by the way that takes the
-    /// fewest bytes, and the bytes that decided it.
+    /// For an encoder: the number of the point before each of the points `own` in its trail, by the way that
+    /// takes the fewest bytes, and the bytes that decided it.
     fn find_trails(
         &self,
         grid: Coordinates,
@@ -235,8 +240,8 @@ const ERRORS: usize = 40;
 /// Lengths of residuals, in bits.
 const LENGTHS: usize = 64;
 
-/// One coordinate against several predictions, of which the one with the smallest recent errors is used. The size of an
-/// error is the binary logarithm of metres, to within one.
+/// One coordinate against several predictions, of which the one with the smallest recent errors is used. The
+/// size of an error is the binary logarithm of metres, to within one.
 #[derive(Clone)]
 struct CoordinateModel {
     /// The recent size of each prediction's errors.

@@ -279,8 +279,8 @@ fn size_of_points_with(points: &[[f32; 3]], channels: &[Channel]) -> usize {
     bytes.len()
 }
 
-/// Firings of 16 lasers around a point beside the origin and `above` it, with noise, and without some returns. Each point
-/// has the number of its laser.
+/// Firings of 16 lasers around a point beside the origin and `above` it, with noise, and without some
+/// returns. Each point has the number of its laser.
 fn firings_beside_the_origin(above: f64) -> Vec<([f32; 3], u8)> {
     let mut random = Rng::keyed(5, &[]);
     let firing = |firing: usize| {
@@ -321,7 +321,8 @@ fn points_are_predicted_along_their_trails() {
     let chaos = size_of_points(&chaos);
     assert!(3 * trailed < 2 * chaos, "{trailed} and {chaos} bytes");
 
-    // High above the origin, the elevation of a laser changes with the distance of its points. Its number does not.
+    // High above the origin, the elevation of a laser changes with the distance of its points. Its number
+    // does not.
     let high = firings_beside_the_origin(1.7);
     let [without, with] =
         [&[][..], &rings(&high)].map(|channels| size_of_points_with(&positions(&high), channels));

@@ -1,4 +1,5 @@
-//! The contents of a recording: its clouds as scans, its topics, and whether another recording has the same messages.
+//! The contents of a recording: its clouds as scans, its topics, and whether another recording has the same
+//! messages.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::Read;
@@ -28,8 +29,8 @@ impl TopicFilter {
     }
 }
 
-/// The clouds of a recording, compressed or not, one after another, each with its time. If several
-/// channels have clouds, each is a track of its own. What is damaged is left out: see [`damage`](Self::damage).
+/// The clouds of a recording, compressed or not, one after another, each with its time. If several channels
+/// have clouds, each is a track of its own. What is damaged is left out: see [`damage`](Self::damage).
 pub struct Clouds<'f, R> {
     records: Records<R>,
     filter: &'f TopicFilter,
@@ -149,8 +150,8 @@ pub struct Topic {
     pub fidelity: BTreeMap<String, u64>,
 }
 
-/// Lists the contents of a recording; if `decodes`, every compressed cloud is decoded. `on_message` is called for each
-/// message.
+/// Lists the contents of a recording; if `decodes`, every compressed cloud is decoded. `on_message` is called
+/// for each message.
 ///
 /// # Errors
 /// If the input is not a recording, or fails.
@@ -244,8 +245,8 @@ fn measure(message: &[u8], encoding: Encoding) -> Result<Option<Measured>> {
     Ok(Some(Measured { points, bytes: decoded.len(), fidelity }))
 }
 
-/// Compares the messages of two recordings in order: topic, sequence number, times and bytes. Returns their number if
-/// all of them are the same, otherwise 0.
+/// Compares the messages of two recordings in order: topic, sequence number, times and bytes. Returns their
+/// number if all of them are the same, otherwise 0.
 ///
 /// # Errors
 /// If one of them is not a recording, or an input fails.

@@ -1,9 +1,9 @@
-//! Clouds in messages: `sensor_msgs/PointCloud2` and `point_cloud_interfaces/CompressedPointCloud2`, as ROS 1 and ROS 2
-//! serialise them.
+//! Clouds in messages: `sensor_msgs/PointCloud2` and `point_cloud_interfaces/CompressedPointCloud2`, as ROS 1
+//! and ROS 2 serialise them.
 //!
-//! Both begin in the same way: header, height, width, fields, byte order, size of a record and of a row. Then come
-//! the records or the compressed payload, a flag for whether all points are valid and, in the compressed message, the
-//! name of its format.
+//! Both begin in the same way: header, height, width, fields, byte order, size of a record and of a row. Then
+//! come the records or the compressed payload, a flag for whether all points are valid and, in the compressed
+//! message, the name of its format.
 
 use std::ops::Range;
 
@@ -221,8 +221,8 @@ fn scalar(datatype: u8) -> Option<Scalar> {
     [I8, U8, I16, U16, I32, U32, F32, F64].get(usize::from(datatype.checked_sub(1)?)).copied()
 }
 
-/// Parses a cloud. The bytes around its records are kept, so that the message can be restored. `None` if the message
-/// is not a cloud, or is one that cannot be parsed.
+/// Parses a cloud. The bytes around its records are kept, so that the message can be restored. `None` if the
+/// message is not a cloud, or is one that cannot be parsed.
 pub fn scan(message: &[u8], encoding: Encoding) -> Option<(ScanFile, i64)> {
     let cloud = Cloud::read(&mut Values::new(message, encoding)?)?;
     let layout = cloud.layout()?;
@@ -240,7 +240,8 @@ pub fn scan(message: &[u8], encoding: Encoding) -> Option<(ScanFile, i64)> {
     Some((scan?, cloud.stamp))
 }
 
-/// Only the records of a parsed cloud, as little-endian points without a message. `None` if they have no position.
+/// Only the records of a parsed cloud, as little-endian points without a message. `None` if they have no
+/// position.
 pub fn points(scan: ScanFile) -> Option<ScanFile> {
     scan.layout.position?;
     // In memory, the values of big-endian records have the order of little-endian ones.

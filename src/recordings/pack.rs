@@ -19,8 +19,8 @@ use crate::stream::encoder::encode_known;
 use crate::stream::ordered::run_ordered;
 use crate::stream::scanner_choice::{DriveScanners, KeptScanners};
 
-/// Keys of the channel metadata in a packed recording: for a channel of clouds, the number of the schema that it had;
-/// for a channel of messages that are not clouds, the number of the channel to which they belong.
+/// Keys of the channel metadata in a packed recording: for a channel of clouds, the number of the schema that
+/// it had; for a channel of messages that are not clouds, the number of the channel to which they belong.
 const SCHEMA_KEY: &str = "lidarpc.schema";
 const CHANNEL_KEY: &str = "lidarpc.channel";
 
@@ -45,14 +45,14 @@ pub struct CopySummary {
     pub damage: Option<String>,
 }
 
-/// Copies a recording from its first byte on and compresses its clouds. `on_message` is called for each message that
-/// is written. The input is scanned in advance, so that the schemas and channels that packing adds get numbers that
-/// the recording uses nowhere.
+/// Copies a recording from its first byte on and compresses its clouds. `on_message` is called for each
+/// message that is written. The input is scanned in advance, so that the schemas and channels that packing
+/// adds get numbers that the recording uses nowhere.
 ///
 /// # Errors
-/// If the input is not a recording or is already packed, if the input or the output fails, or if the settings are
-/// invalid or those of paper mode. Of a recording that is truncated or damaged, all that can be read is copied: see
-/// [`CopySummary::damage`].
+/// If the input is not a recording or is already packed, if the input or the output fails, or if the settings
+/// are invalid or those of paper mode. Of a recording that is truncated or damaged, all that can be read is
+/// copied: see [`CopySummary::damage`].
 pub fn pack<W: Write + Seek>(
     mut input: impl Read + Seek + Send,
     out: W,
@@ -74,7 +74,8 @@ pub fn pack<W: Write + Seek>(
     Ok(CopySummary { topics: packing.topics, ..copied })
 }
 
-/// Copies a packed recording and restores its clouds. Clouds that are damaged are left out: see [`CopySummary::damage`].
+/// Copies a packed recording and restores its clouds. Clouds that are damaged are left out: see
+/// [`CopySummary::damage`].
 ///
 /// # Errors
 /// If the input is not a recording, or if the input or the output fails.
@@ -391,7 +392,8 @@ fn unpack_message(header: MessageHeader, data: Vec<u8>, encoding: Encoding) -> D
     }
 }
 
-/// The message that a compressed message decodes to, and its number of points; `None` if it is not compressed.
+/// The message that a compressed message decodes to, and its number of points; `None` if it is not
+/// compressed.
 ///
 /// # Errors
 /// If the payload is damaged or does not contain a message.

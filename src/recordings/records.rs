@@ -55,8 +55,8 @@ impl Faults {
     }
 }
 
-/// The records of a recording up to the end of its data, taken out of their chunks. Records that cannot be read, or
-/// that refer to others which do not exist, are left out, and reading goes on behind them: see
+/// The records of a recording up to the end of its data, taken out of their chunks. Records that cannot be
+/// read, or that refer to others which do not exist, are left out, and reading goes on behind them: see
 /// [`faults`](Self::faults).
 pub struct Records<R> {
     file: Summed<BufReader<R>>,
@@ -70,7 +70,8 @@ pub struct Records<R> {
     /// Number of messages so far.
     messages: u64,
     has_ended: bool,
-    /// What is wrong with the recording, as far as it has been read: all of it once there are no more records.
+    /// What is wrong with the recording, as far as it has been read: all of it once there are no more
+    /// records.
     pub faults: Faults,
 }
 
@@ -270,8 +271,8 @@ const RECORDS_LENGTH: Range<usize> = 32..40;
 impl Chunk {
     /// Reads a chunk, of which the end may be missing.
     ///
-    /// Records that are not compressed are read as those of a file: the library's reader of such chunks (as of `mcap`
-    /// 0.26) does not check that a record is no longer than what is left of its chunk.
+    /// Records that are not compressed are read as those of a file: the library's reader of such chunks (as
+    /// of `mcap` 0.26) does not check that a record is no longer than what is left of its chunk.
     fn new(record: &RawRecord) -> Result<Self> {
         check_lengths(record)?;
         let options = LinearReaderOptions::default()
@@ -357,7 +358,8 @@ impl RawRecord {
         [&[self.opcode], &self.length.to_le_bytes()[..], &self.contents].concat()
     }
 
-    /// Whether this record, a footer, has the checksum of the summary before it and of itself up to there, or none.
+    /// Whether this record, a footer, has the checksum of the summary before it and of itself up to there, or
+    /// none.
     fn confirms(&self, mut summary: Hasher, footer: &Footer) -> bool {
         /// The kind, the length and two positions.
         const COVERED: usize = 1 + 8 + 2 * 8;
@@ -402,8 +404,8 @@ enum Field {
     Texts,
 }
 
-/// Checks that no field of a record is longer than what is left of it: the library (as of `mcap` 0.26) allocates
-/// memory for texts before it reads them, and expects that attachments end in a checksum.
+/// Checks that no field of a record is longer than what is left of it: the library (as of `mcap` 0.26)
+/// allocates memory for texts before it reads them, and expects that attachments end in a checksum.
 fn check_lengths(record: &RawRecord) -> Result<()> {
     use Field::{Data, Fixed, Text, Texts};
     let RawRecord { opcode, contents, .. } = record;
@@ -517,8 +519,8 @@ impl<W: Write + Seek> Output<W> {
     }
 }
 
-/// The numbers of all schemas and channels of a recording, wherever the input is positioned; afterwards it is at its
-/// first byte. If the recording is damaged, those of the records that can be read.
+/// The numbers of all schemas and channels of a recording, wherever the input is positioned; afterwards it is
+/// at its first byte. If the recording is damaged, those of the records that can be read.
 ///
 /// # Errors
 /// If the input is not a recording, or fails.
@@ -539,8 +541,8 @@ pub fn numbers_in(input: &mut (impl Read + Seek)) -> Result<HashSet<u16>> {
     Ok(numbers)
 }
 
-/// The numbers of all schemas and channels, if the summary at the end of a recording lists all that its statistics
-/// count.
+/// The numbers of all schemas and channels, if the summary at the end of a recording lists all that its
+/// statistics count.
 ///
 /// # Errors
 /// If the input fails.

@@ -76,13 +76,14 @@ pub enum Wrapping {
     BigEndian,
     /// One after the other, with 32-bit integers in place of x, y and z (LAS).
     Scaled([Axis; 3]),
-    /// One after the other, with doubles or integers in place of the float32 values of some fields; for each field, how.
+    /// One after the other, with doubles or integers in place of the float32 values of some fields; for each
+    /// field, how.
     Widened(Vec<Widening>),
     /// Field by field (`.npy` in column-major order), with doubles in place of the float32 values of some
     /// fields, as in `Widened`.
     ByField(Vec<Widening>),
-    /// Field by field in batches (Arrow), with other numbers in place of the float32 values of some fields, as in
-    /// `Widened`.
+    /// Field by field in batches (Arrow), with other numbers in place of the float32 values of some fields,
+    /// as in `Widened`.
     Arrow {
         /// Whether the fields begin at multiples of 64 bytes, rather than of 8.
         is_wide: bool,
@@ -98,8 +99,8 @@ pub enum Widening {
     None,
     /// A float32 as the double equal to it.
     Exact,
-    /// A float32 as the double nearest to its text by this rule: the file was made from text, or from numbers of few
-    /// digits.
+    /// A float32 as the double nearest to its text by this rule: the file was made from text, or from numbers
+    /// of few digits.
     Decimal(NumberRule),
     /// A float32 as the nearest 16-bit integer of this axis.
     Steps(Axis),

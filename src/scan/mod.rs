@@ -57,7 +57,8 @@ impl PointCloud {
         })
     }
 
-    /// The number of points that have a direction. Organised clouds also hold points for beams without a return.
+    /// The number of points that have a direction. Organised clouds also hold points for beams without a
+    /// return.
     pub fn measured(&self) -> usize {
         self.positions.iter().filter(|position| has_direction(position)).count()
     }

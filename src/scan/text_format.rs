@@ -231,8 +231,8 @@ const PADDED: u64 = 512;
 /// How a C library prints numbers of a given number of digits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Printf {
-    /// A number midway between two texts is rounded away from zero if its last digit stands after the decimal point,
-    /// instead of to even: Windows before 2020.
+    /// A number midway between two texts is rounded away from zero if its last digit stands after the decimal
+    /// point, instead of to even: Windows before 2020.
     pub ties_away: bool,
     /// Exponents have at least three digits instead of two: Visual C++ before 2015.
     pub long_exponent: bool,
@@ -255,7 +255,8 @@ pub struct TextFormat {
     pub printf: Printf,
     /// The columns, in the order of the file and of the record.
     pub columns: Vec<Column>,
-    /// Spaces fill shorter numbers up to this width from the left, for each column (`%8.3f`); empty if no column has one.
+    /// Spaces fill shorter numbers up to this width from the left, for each column (`%8.3f`); empty if no
+    /// column has one.
     pub widths: Vec<u8>,
 }
 

@@ -20,13 +20,14 @@ pub enum Coordinates {
     /// The float32 values nearest to decimal numbers with this many significant digits, 1 to 9: text (`%g`).
     /// Units count those numbers in ascending order.
     Digits(u8),
-    /// Half-precision numbers, with 11 significant bits. Units count the float32 values whose other 13 bits are 0.
+    /// Half-precision numbers, with 11 significant bits. Units count the float32 values whose other 13 bits
+    /// are 0.
     Half,
 }
 
 impl Coordinates {
-    /// The grid of some coordinates (metres): millimetres if nearly all are whole millimetres. Those that are not finite
-    /// stand for no place and do not count.
+    /// The grid of some coordinates (metres): millimetres if nearly all are whole millimetres. Those that are
+    /// not finite stand for no place and do not count.
     pub fn of<'a>(values: impl Iterator<Item = &'a f32>) -> Self {
         let (mut on_grid, mut total) = (0usize, 0usize);
         for value in values.filter(|value| value.is_finite()) {
@@ -52,8 +53,8 @@ impl Coordinates {
     pub fn of_most(positions: &[[f32; 3]]) -> Self {
         /// Number of positions that are compared, at most.
         const SAMPLE: usize = 500;
-        /// Bits of a coordinate that is not on the grid, beside one whose residual is a metre: such a one takes 32 bits,
-        /// and most residuals are a few millimetres.
+        /// Bits of a coordinate that is not on the grid, beside one whose residual is a metre: such a one
+        /// takes 32 bits, and most residuals are a few millimetres.
         const RAW: f64 = 40.0;
         /// Finer steps than this, in metres, near zero, say nothing about the grid.
         const FINEST: f64 = 1e-9;
@@ -247,8 +248,8 @@ impl Coordinates {
 /// Number of bits of a float32's significand that half precision lacks.
 const HALF: u32 = 13;
 
-/// The signed index of the number nearest to a value among the float32 values whose last 13 bits are 0. 0 stands for 0
-/// and for values nearer to it than to the least such number.
+/// The signed index of the number nearest to a value among the float32 values whose last 13 bits are 0. 0
+/// stands for 0 and for values nearer to it than to the least such number.
 fn half_unit(value: f32) -> i64 {
     let magnitude = value.to_bits() & (u32::MAX >> 1);
     let unit = i64::from((magnitude + (1 << (HALF - 1))) >> HALF);

@@ -58,8 +58,8 @@ impl Scanner {
         Self::of_sample(sample).filter(Self::can_be_read)
     }
 
-    /// Whether a decoder accepts the scanner's record. One that was fitted to values that no scanner measures may have
-    /// constants beyond all limits.
+    /// Whether a decoder accepts the scanner's record. One that was fitted to values that no scanner measures
+    /// may have constants beyond all limits.
     fn can_be_read(&self) -> bool {
         Self::of_record(self.family(), &self.to_payload()).is_ok()
     }
@@ -87,7 +87,8 @@ impl Scanner {
         moved.or_else(mounted).or(found).map(Scanner::Firings).or_else(beams)
     }
 
-    /// The share of a scan's points that are in its range image; of many points by an HDL-64E, of those in the middle.
+    /// The share of a scan's points that are in its range image; of many points by an HDL-64E, of those in
+    /// the middle.
     pub fn explained_share(&self, cloud: &PointCloud) -> f64 {
         /// A sufficient number of points: at least ten beams.
         const MANY: usize = 25_000;

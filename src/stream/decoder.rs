@@ -185,8 +185,8 @@ impl PartlyDecodedGroup {
     }
 }
 
-/// Passes the bytes of a file to `give`, piece by piece, no more than the frame's header says; an error if in the end
-/// their size or checksum differs from the header's.
+/// Passes the bytes of a file to `give`, piece by piece, no more than the frame's header says; an error if in
+/// the end their size or checksum differs from the header's.
 pub(crate) fn write_checked(
     scan: &ScanFile,
     header: &FrameHeader,

@@ -209,8 +209,8 @@ impl<'s> GroupInProgress<'s> {
     }
 }
 
-/// A scan that decoders accept under their limits: a file with too many points, or whose records, as numbers or
-/// decompressed, take too many bytes, is coded as plain bytes.
+/// A scan that decoders accept under their limits: a file with too many points, or whose records, as numbers
+/// or decompressed, take too many bytes, is coded as plain bytes.
 fn within_limits(scan: ScanFile) -> Result<ScanFile> {
     let limits = Limits::default();
     let bytes = scan.records.saturating_mul(scan.layout.stride());

@@ -44,8 +44,8 @@ impl FrameInput {
         FrameInput { data: Data::File { path, name }, stamp: Stamp::default(), drive: 0 }
     }
 
-    /// A file [beside](FrameKind::Beside) the scans, which is stored as plain bytes; or, if the name ends in `/`,
-    /// an empty folder.
+    /// A file [beside](FrameKind::Beside) the scans, which is stored as plain bytes; or, if the name ends in
+    /// `/`, an empty folder.
     pub fn beside(path: PathBuf, name: String) -> Self {
         let stamp = Stamp { kind: FrameKind::Beside, ..Stamp::default() };
         FrameInput::file(path, name).stamped(stamp)

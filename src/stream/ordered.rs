@@ -21,11 +21,11 @@ enum Event<J, T> {
     Done(usize, Result<T>),
 }
 
-/// Calls `work` for each job on `threads` threads (0: one for each processor) and passes the results to `sink` in
-/// the order of the jobs, each as soon as it and those before are available. Jobs are drawn on a separate thread,
-/// which may wait for its input; results are passed on the calling thread. At most `threads + 1` jobs are drawn, running or waiting
-/// at a time, so that memory does not grow with their number. After an error, this returns only when the job that
-/// is being drawn has arrived.
+/// Calls `work` for each job on `threads` threads (0: one for each processor) and passes the results to
+/// `sink` in the order of the jobs, each as soon as it and those before are available. Jobs are drawn on a
+/// separate thread, which may wait for its input; results are passed on the calling thread. At most
+/// `threads + 1` jobs are drawn, running or waiting at a time, so that memory does not grow with their
+/// number. After an error, this returns only when the job that is being drawn has arrived.
 ///
 /// # Errors
 /// The first error of the jobs, the work or the sink, in the order of the jobs; which one does not depend on
@@ -209,7 +209,8 @@ pub(crate) struct Workers<T> {
 }
 
 impl<T: Send + 'static> Workers<T> {
-    /// A pool of `threads` threads (0: one for each processor); with 1, jobs are run on the caller's thread instead.
+    /// A pool of `threads` threads (0: one for each processor); with 1, jobs are run on the caller's thread
+    /// instead.
     ///
     /// # Errors
     /// If they cannot be started.

@@ -62,8 +62,8 @@ pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> 
     Ok(scanners)
 }
 
-/// The scanners of frames that are coded one by one: those of the first frame to which a scanner fits, or otherwise
-/// those of the last of a few frames.
+/// The scanners of frames that are coded one by one: those of the first frame to which a scanner fits, or
+/// otherwise those of the last of a few frames.
 #[derive(Clone, Default)]
 pub(crate) struct KeptScanners {
     kept: Option<Arc<DriveScanners>>,
@@ -124,8 +124,8 @@ fn scanners_of_drive(frames: &[FrameInput], config: &EncoderConfig) -> Result<Dr
 }
 
 impl DriveScanners {
-    /// The track in which a frame is coded: its own or, if scanners are mixed, that of the scanner that explains
-    /// most of it.
+    /// The track in which a frame is coded: its own or, if scanners are mixed, that of the scanner that
+    /// explains most of it.
     pub fn track_of(&self, own: u8, scan: &ScanFile, config: &EncoderConfig) -> u8 {
         if !self.are_mixed {
             return own;
@@ -136,7 +136,8 @@ impl DriveScanners {
         }
     }
 
-    /// The track of the scanner that explains most of these points, and how much that is; `own` if none explains any.
+    /// The track of the scanner that explains most of these points, and how much that is; `own` if none
+    /// explains any.
     fn track_by_points(&self, own: u8, cloud: &PointCloud) -> (u8, f64) {
         // Both, as units of the same model see about the same, but only one of them to the last bit.
         let explained = |scanner: &Scanner| {
@@ -164,8 +165,8 @@ fn scanners_of_track(frames: &[&FrameInput], config: &EncoderConfig) -> Result<V
     })
 }
 
-/// The scanner fitted to these frames, whose beams an image of an ideal scanner uses: fitted to the scans as they are
-/// or, if that fails, as they were measured.
+/// The scanner fitted to these frames, whose beams an image of an ideal scanner uses: fitted to the scans as
+/// they are or, if that fails, as they were measured.
 ///
 /// # Errors
 /// If a file cannot be read.
@@ -235,9 +236,9 @@ fn fitted(frames: &[&FrameInput], sampling: Sampling) -> Result<Vec<Scanner>> {
     })
 }
 
-/// Whether the first two of these frames are of different scanners: if two scanners take turns, a sample that is spread
-/// evenly may have caught frames of one alone. `only` is the scanner found in the sample, of which the first frame is part;
-/// `explains_all`: it explains the whole sample.
+/// Whether the first two of these frames are of different scanners: if two scanners take turns, a sample that
+/// is spread evenly may have caught frames of one alone. `only` is the scanner found in the sample, of which
+/// the first frame is part; `explains_all`: it explains the whole sample.
 fn take_turns(
     only: &Scanner,
     explains_all: bool,
@@ -281,7 +282,8 @@ fn is_scan_of(scanner: &Scanner, scan: &ScanFile, reproduces: bool) -> bool {
     scan.cloud.positions.is_empty() || is_seen() || is_moved()
 }
 
-/// Scanners that together explain the scans of a sample, as far as fits succeed, and whether they explain all.
+/// Scanners that together explain the scans of a sample, as far as fits succeed, and whether they explain
+/// all.
 fn fit_all(mut sample: Vec<ScanFile>) -> (Vec<Scanner>, bool) {
     /// The largest number of scanners in one folder, and the number of failed fits after which no more are
     /// tried.
@@ -316,8 +318,8 @@ fn as_measured(cloud: PointCloud, undoes_compensation: bool) -> PointCloud {
     cloud
 }
 
-/// The indices of a sample of at most `most` frames: the first frame, the last, and others evenly spaced between
-/// them.
+/// The indices of a sample of at most `most` frames: the first frame, the last, and others evenly spaced
+/// between them.
 pub(crate) fn sample_places(frames: usize, most: usize) -> impl Iterator<Item = usize> {
     let count = most.min(frames);
     (0..count).map(move |i| i * (frames - 1) / (count - 1).max(1))

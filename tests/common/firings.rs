@@ -113,8 +113,8 @@ pub fn stamped(scanner: &Firings, image: &RangeImage, firings: u32) -> (Points, 
     (points(scanner, image), rows, times)
 }
 
-/// Moves points by a fraction of a motion: each by the fraction between its time stamp and the last one. The rotation
-/// is computed with a quaternion.
+/// Moves points by a fraction of a motion: each by the fraction between its time stamp and the last one. The
+/// rotation is computed with a quaternion.
 pub fn moved_by_stamps(points: &Points, times: &[f64], rotation: [f64; 3], translation: [f64; 3]) -> Points {
     let ends = times.iter().fold([f64::MAX, f64::MIN], |[a, b], time| [a.min(*time), b.max(*time)]);
     let angle = rotation.iter().map(|r| r * r).sum::<f64>().sqrt();
@@ -141,7 +141,8 @@ pub fn sorted<T: Copy>(records: &[T], times: &[f64]) -> Vec<T> {
     file_order(&keys).into_iter().map(|record| records[record as usize]).collect()
 }
 
-/// The same scanner with lasers that fire one after another, 1.57 of 55.56 microseconds apart, followed by a pause.
+/// The same scanner with lasers that fire one after another, 1.57 of 55.56 microseconds apart, followed by a
+/// pause.
 pub fn timed(scanner: &Firings) -> Firings {
     let part = |slot: i32| (f64::from(slot) * 1.57 / 55.56 * f64::from(1 << 24)) as u32;
     let build = Build { timing: Timing::Parts((0..32).map(part).collect()), ..scanner.build().clone() };
@@ -150,8 +151,8 @@ pub fn timed(scanner: &Firings) -> Firings {
 
 /// A scan of a VLP-32C as computed by Autoware's nebula from packets of twelve blocks, but with tables of
 /// cosine and sine that are rounded once. A laser's azimuth offset, 1.4 or 4.2 degrees to either side, is
-/// subtracted in hundredths of a degree before the lookup; the rotation until it fires is added, and is 0 in the
-/// last block of a packet.
+/// subtracted in hundredths of a degree before the lookup; the rotation until it fires is added, and is 0 in
+/// the last block of a packet.
 pub fn vlp_32c(packets: usize) -> Points {
     const BLOCKS: usize = 12;
     let mut below = numbers(11);
@@ -192,9 +193,9 @@ pub fn vlp_32c(packets: usize) -> Points {
     points
 }
 
-/// A scan of a VLP-16 as computed by the package velodyne-decoder from packets of twelve blocks, but with tables of
-/// cosine and sine that are rounded once. The azimuth advances at the packet's average rate; the height of each laser
-/// is that of its beam, which passes through a point 41.91 mm in front of the axis.
+/// A scan of a VLP-16 as computed by the package velodyne-decoder from packets of twelve blocks, but with
+/// tables of cosine and sine that are rounded once. The azimuth advances at the packet's average rate; the
+/// height of each laser is that of its beam, which passes through a point 41.91 mm in front of the axis.
 pub fn velodyne_decoder_vlp_16(packets: usize) -> Points {
     const BLOCKS: usize = 12;
     const DEGREES: [i32; 16] = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15];
@@ -231,8 +232,8 @@ pub fn velodyne_decoder_vlp_16(packets: usize) -> Points {
     points
 }
 
-/// The same image with half of the lasers only in every other firing, and the other half in the firings between, as
-/// Hesai's 128-channel scanners fire.
+/// The same image with half of the lasers only in every other firing, and the other half in the firings
+/// between, as Hesai's 128-channel scanners fire.
 pub fn taking_turns(mut image: RangeImage) -> RangeImage {
     for row in image.steps.rows() / 2..image.steps.rows() {
         let cells = image.steps.row_mut(row).iter_mut().enumerate();
@@ -241,14 +242,15 @@ pub fn taking_turns(mut image: RangeImage) -> RangeImage {
     image
 }
 
-/// The range in millimetres that an Ouster measures in a room that becomes longer from a corner on, by row and column.
+/// The range in millimetres that an Ouster measures in a room that becomes longer from a corner on, by row
+/// and column.
 fn ouster_range(row: usize, measured: usize) -> Option<u32> {
     let millimetres = 2000 + 37 * (measured % 97) + row * row + measured * 7 % 13;
     (!(measured * 31 + row * 17).is_multiple_of(9)).then_some(millimetres as u32)
 }
 
-/// The same scan with the fields that Ouster's ROS driver writes: a signal of twelve bits as the intensity, a time, a reflectivity, a ring, ambient light, and
-/// the range in millimetres.
+/// The same scan with the fields that Ouster's ROS driver writes: a signal of twelve bits as the intensity, a
+/// time, a reflectivity, a ring, ambient light, and the range in millimetres.
 pub fn ouster_fields(rows: usize) -> Vec<u8> {
     let width = 512;
     let fields =
@@ -281,8 +283,8 @@ pub enum OusterDriver {
     Early,
 }
 
-/// A scan of an Ouster in a room: an image row by row, each row shifted by its own number of columns, and zeros where
-/// there is no return.
+/// A scan of an Ouster in a room: an image row by row, each row shifted by its own number of columns, and
+/// zeros where there is no return.
 pub fn ouster(rows: usize, driver: OusterDriver) -> Points {
     let width = 512;
     let shift = |row: usize| OUSTER_SHIFTS[row % 4];
@@ -372,8 +374,9 @@ impl Mover {
     }
 }
 
-/// A turn of an HDL-32E, laser after laser, whose points a program keeps in double precision until it has turned them by
-/// these degrees about x and raised them: at 180 degrees, the files of the Oxford Radar RobotCar data set.
+/// A turn of an HDL-32E, laser after laser, whose points a program keeps in double precision until it has
+/// turned them by these degrees about x and raised them: at 180 degrees, the files of the Oxford Radar
+/// RobotCar data set.
 pub fn unrounded_hdl_32e(degrees: f64, up: f64, thinning: u64) -> Points {
     let mut below = numbers(11);
     let (sin_turn, cos_turn) = match degrees {

@@ -164,7 +164,8 @@ pub fn npy_halves(points: &[[f32; 4]]) -> Vec<u8> {
     [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), &body].concat()
 }
 
-/// The same, column by column, as pandas stores it, with coordinates that were read from text of eight digits.
+/// The same, column by column, as pandas stores it, with coordinates that were read from text of eight
+/// digits.
 pub fn npy_by_column(points: &[[f32; 4]]) -> Vec<u8> {
     npy_table(points, "True", |values| {
         let digits = |value: f64| format!("{value:.7e}").parse().unwrap();

@@ -31,8 +31,8 @@ impl Message {
     }
 }
 
-/// A cloud with fields in records of 26 bytes: x, y, z, intensity, ring, and a float64 time at an offset that is not
-/// a multiple of 8.
+/// A cloud with fields in records of 26 bytes: x, y, z, intensity, ring, and a float64 time at an offset that
+/// is not a multiple of 8.
 pub fn cloud(points: &Points, is_cdr: bool, is_big_endian: bool) -> Vec<u8> {
     let mut message = Message::new(is_cdr, is_big_endian);
     if !is_cdr {

@@ -20,8 +20,8 @@ pub fn scans(config: &SynthConfig) -> Vec<Points> {
     drive(config).map(|frame| frame.points).collect()
 }
 
-/// The points with coordinates rounded to this number of decimal places, as most programs write them: some zeros are
-/// negative.
+/// The points with coordinates rounded to this number of decimal places, as most programs write them: some
+/// zeros are negative.
 pub fn rounded(points: &[[f32; 4]], places: i32) -> Points {
     let unit = 10f64.powi(places);
     let round = |metres: f32| ((f64::from(metres) * unit).round() / unit) as f32;

@@ -13,10 +13,10 @@ use crate::stream::input::FrameInput;
 use crate::stream::ordered::run_ordered;
 use crate::stream::scanner_choice::{choose_scanners, records_of};
 
-/// Confirms that a complete stream is the one that an encode of these frames with these settings gives; there is no
-/// journal of it any more. An exact stream holds the checksums of the files, so that they only need be read, and one
-/// group is encoded again, as a sample of the settings. Of any other stream all groups are. `on_frame` is called for each
-/// frame that was compared.
+/// Confirms that a complete stream is the one that an encode of these frames with these settings gives; there
+/// is no journal of it any more. An exact stream holds the checksums of the files, so that they only need be
+/// read, and one group is encoded again, as a sample of the settings. Of any other stream all groups are.
+/// `on_frame` is called for each frame that was compared.
 ///
 /// # Errors
 /// [`Error::Usage`], with what differs; if a file or the stream cannot be read.

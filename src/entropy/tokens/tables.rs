@@ -142,7 +142,8 @@ impl Default for Table {
 }
 
 impl TokenTables {
-    /// Gives each context its starting distribution, once, before any token has occurred. Its influence soon fades.
+    /// Gives each context its starting distribution, once, before any token has occurred. Its influence soon
+    /// fades.
     pub fn start_from(&mut self, start: &StartTables, encodes: bool) {
         /// The divisor of the initial counts, so that observed ones soon outweigh them.
         const SHARE: u32 = 32;

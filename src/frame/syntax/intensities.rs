@@ -217,8 +217,8 @@ fn code_strays<C: BitCoder>(
 struct StrayTrails<'a>(&'a [PointTrail]);
 
 impl StrayTrails<'_> {
-    /// The stray before this one in its trail, or the one that it repeats; the preceding one where nothing is known of
-    /// trails.
+    /// The stray before this one in its trail, or the one that it repeats; the preceding one where nothing is
+    /// known of trails.
     fn before(&self, index: usize) -> Option<usize> {
         match self.0.get(index) {
             Some(trail) => trail.before,

@@ -25,8 +25,8 @@ impl NearestPoints {
         Some(NearestPoints { points, tree })
     }
 
-    /// One iteration: the motion, composed with `motion`, that brings the pairs closest together (Kabsch). `None`
-    /// if there are too few pairs.
+    /// One iteration: the motion, composed with `motion`, that brings the pairs closest together (Kabsch).
+    /// `None` if there are too few pairs.
     pub fn step(&self, current: &[[f64; 3]], motion: &RigidMotion, reach: f64) -> Option<Step> {
         let back = motion.inverse();
         let mut pairs = Vec::new();

@@ -16,8 +16,8 @@ use crate::scan::Scalar;
 
 /// Number of records that are coded to choose what predicts them.
 const SAMPLE: usize = 6000;
-/// At most one in this number of integers may break a rule, if they are wide and above a base, which changes now and
-/// then.
+/// At most one in this number of integers may break a rule, if they are wide and above a base, which changes
+/// now and then.
 const FEW_BASES: usize = 64;
 
 /// A plan with a rule that seems worth a try.
@@ -54,8 +54,8 @@ impl Choice {
     }
 }
 
-/// The records that are coded to compare ways of coding: some from all over the file, since its lines differ, or all
-/// records if they are few.
+/// The records that are coded to compare ways of coding: some from all over the file, since its lines differ,
+/// or all records if they are few.
 pub fn sample(records: usize) -> Vec<Range<usize>> {
     /// Up to this multiple of [`SAMPLE`], records are few.
     const FEW: usize = 2;
@@ -147,7 +147,8 @@ impl ColumnModel {
         Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried: Some(tried) }
     }
 
-    /// A plan by neighbours, if the column was last coded by one of that kind: they suit the same columns in all frames.
+    /// A plan by neighbours, if the column was last coded by one of that kind: they suit the same columns in
+    /// all frames.
     fn same_kind(&self, plain: Integers, scalar: Scalar, values: &[u8]) -> Option<Plan> {
         match self.last_plan()? {
             Plan::Levels(_) => levels_plan(plain, scalar, values),
@@ -156,8 +157,8 @@ impl ColumnModel {
         }
     }
 
-    /// The plan that was the best of all in an earlier frame, if it does as well now: trying all of them takes many
-    /// times as long as coding the column.
+    /// The plan that was the best of all in an earlier frame, if it does as well now: trying all of them
+    /// takes many times as long as coding the column.
     fn tried_plan(&self, plain: Integers, part: &Sources, scalar: Scalar, values: &[u8]) -> Option<Integers> {
         /// Up to this factor, more bytes count as equally good.
         const MORE: f64 = 1.02;
@@ -169,8 +170,8 @@ impl ColumnModel {
     }
 
     /// Checks a plan whose rule uses the columns of an image, or its ticks, on all integers: a few rows show
-    /// neither which of the two rules holds nor what holds in rows without returns. Returns the plan with the rule
-    /// that more integers follow, as an error if too many follow neither.
+    /// neither which of the two rules holds nor what holds in rows without returns. Returns the plan with the
+    /// rule that more integers follow, as an error if too many follow neither.
     fn settled(
         &self,
         plan: Integers,
@@ -193,8 +194,8 @@ impl ColumnModel {
         if missed <= integers.len() / 2 / FEW_BASES { Ok(plan) } else { Err(plan) }
     }
 
-    /// The rule that most integers of a sample follow, and whether nearly all do; `None` if too few follow any
-    /// rule.
+    /// The rule that most integers of a sample follow, and whether nearly all do; `None` if too few follow
+    /// any rule.
     fn best_rule(
         &self,
         plain: Integers,

@@ -204,8 +204,8 @@ fn known_integers<C: BitCoder>(grid: &NumberGrid, values: &[u8]) -> Vec<Option<i
     if C::ENCODES { grid.integers(values) } else { Vec::new() }
 }
 
-/// Codes values as integers, which an encoder passes as well, by calling `code` for each, with the number of its record;
-/// the integer is `None` for a value off the grid.
+/// Codes values as integers, which an encoder passes as well, by calling `code` for each, with the number of
+/// its record; the integer is `None` for a value off the grid.
 #[inline(always)]
 fn code_each<C: BitCoder>(
     coder: &mut C,

@@ -75,8 +75,8 @@ pub struct Compressed {
 }
 
 impl Compressed {
-    /// The shortest way; slow ones are tried only if they may take fewer than `most` bytes. `None` if `most` is small
-    /// anyway.
+    /// The shortest way; slow ones are tried only if they may take fewer than `most` bytes. `None` if `most`
+    /// is small anyway.
     pub fn shortest(bytes: &[u8], scalar: Scalar, width: usize, level: Level, most: usize) -> Option<Self> {
         /// In 16ths of a byte per record: records that take less than this are explained by the models.
         const EXPLAINED: usize = 1;
@@ -121,8 +121,8 @@ impl Compressed {
 /// From this level on, LZMA is tried on every arrangement.
 const THOROUGH_LEVEL: u8 = 7;
 
-/// Codes records that a general-purpose coder has compressed. A decoder passes zeros of the same length, and `None` for
-/// `compressed`.
+/// Codes records that a general-purpose coder has compressed. A decoder passes zeros of the same length, and
+/// `None` for `compressed`.
 ///
 /// # Errors
 /// If a decoder's input is damaged.

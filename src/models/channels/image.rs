@@ -1,5 +1,5 @@
-//! Integers that form an image, such as signals and ambient light: each is predicted from its neighbours by least
-//! squares, and the difference is coded in contexts of the neighbours. FORMAT.md 8.9.
+//! Integers that form an image, such as signals and ambient light: each is predicted from its neighbours by
+//! least squares, and the difference is coded in contexts of the neighbours. FORMAT.md 8.9.
 
 use crate::entropy::{BitCoder, MixedBits};
 use crate::ground::grid::Grid;
@@ -21,8 +21,8 @@ pub const LIMIT: i64 = 1 << 16;
 const FORGET: f32 = 0.9995;
 /// The largest square root of an integer.
 const MOST_ROOT: f32 = 256.0;
-/// Nodes of the tree of a difference: whether it is 0, its sign, its number of bits in unary, the two bits after the
-/// highest one, by this number, and the lower ones.
+/// Nodes of the tree of a difference: whether it is 0, its sign, its number of bits in unary, the two bits
+/// after the highest one, by this number, and the lower ones.
 const IS_ZERO: usize = 0;
 const SIGN: usize = 1;
 const OCTAVE: usize = 2;
@@ -75,8 +75,8 @@ impl ImageModel {
         self.of_row = vec![[Known::default(); 2]; rows + 1];
     }
 
-    /// Codes the integer of the next record. Its row and column are counted from 1; 0 if it has none. `steps` is its
-    /// range, if that is known.
+    /// Codes the integer of the next record. Its row and column are counted from 1; 0 if it has none. `steps`
+    /// is its range, if that is known.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,

@@ -1,6 +1,6 @@
-//! Integers, one per record, each predicted in several ways: which predictions were right shows which to try first
-//! for the next one. If none of those tried is right, the difference from the prediction with the smallest recent
-//! error is coded. FORMAT.md 8.9, "Integers".
+//! Integers, one per record, each predicted in several ways: which predictions were right shows which to try
+//! first for the next one. If none of those tried is right, the difference from the prediction with the
+//! smallest recent error is coded. FORMAT.md 8.9, "Integers".
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel, MixedBits};
 use crate::ground::varint::{unzigzag, zigzag};
@@ -26,7 +26,8 @@ const LONGEST: u32 = 62;
 pub struct Site {
     /// Its beam.
     pub key: u32,
-    /// Its column in the range image, counted from 1; 0 if it has none. For a rule by ticks, its tick instead.
+    /// Its column in the range image, counted from 1; 0 if it has none. For a rule by ticks, its tick
+    /// instead.
     pub column: u32,
     /// The integer that its position implies, if any.
     pub geometry: Option<i64>,
@@ -41,8 +42,8 @@ pub struct IntegersModel {
     last: [i64; 3],
     /// The last site's key.
     key: u32,
-    /// By hash of the key: the last integer with this key, the one before it, and the last one's difference from
-    /// the geometry.
+    /// By hash of the key: the last integer with this key, the one before it, and the last one's difference
+    /// from the geometry.
     of_key: Vec<[i64; 3]>,
     /// By hash of this key and the last one: the last difference.
     of_keys: Vec<i64>,

@@ -1,5 +1,5 @@
-//! Values of which there are few, such as reflectivities, grey levels and labels: each is coded as an intensity is, in
-//! contexts of its neighbours in the range image. FORMAT.md 8.9.
+//! Values of which there are few, such as reflectivities, grey levels and labels: each is coded as an
+//! intensity is, in contexts of its neighbours in the range image. FORMAT.md 8.9.
 
 use std::collections::BTreeSet;
 

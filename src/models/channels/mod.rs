@@ -1,5 +1,5 @@
-//! The fields of a record other than position and intensity, column by column: each by the method that the encoder
-//! found to be the shortest for it. FORMAT.md 8.9.
+//! The fields of a record other than position and intensity, column by column: each by the method that the
+//! encoder found to be the shortest for it. FORMAT.md 8.9.
 //!
 //! A column that is coded can predict those after it, so narrow types come first: rings, then times.
 
@@ -249,7 +249,8 @@ impl Values<'_> {
         bytes
     }
 
-    /// Passes each value, converted to another type, to `take` until that refuses one. Returns whether it took all.
+    /// Passes each value, converted to another type, to `take` until that refuses one. Returns whether it
+    /// took all.
     fn all_as(&self, scalar: Scalar, mut take: impl FnMut(usize, &[u8]) -> bool) -> bool {
         let (from, size) = (self.scalar(), scalar.size() as usize);
         let mut value = [0; 8];
@@ -397,8 +398,8 @@ impl ChannelCoder<'_> {
         Compressed::shortest(bytes, self.scalar, self.width, self.level, most)
     }
 
-    /// The size by the model of bytes, for comparison with other ways: they are preferred up to this size, as the model
-    /// takes many times as long as any of them to encode and decode.
+    /// The size by the model of bytes, for comparison with other ways: they are preferred up to this size, as
+    /// the model takes many times as long as any of them to encode and decode.
     fn handicapped(&self, as_bytes: usize) -> usize {
         match self.level.number() {
             1..=3 => as_bytes.saturating_add(as_bytes / 4),

@@ -84,8 +84,8 @@ pub struct Geometry(u8);
 
 /// Number of geometries: none, distances, and angles in radians, degrees and hundredths of degrees.
 const GEOMETRIES: u8 = 21;
-/// The first of the geometries of a place: the range in metres, the azimuth in both directions, then the range in
-/// millimetres.
+/// The first of the geometries of a place: the range in metres, the azimuth in both directions, then the
+/// range in millimetres.
 const FIRST_OF_PLACE: u8 = 12;
 const MILLIMETRES_OF_PLACE: u8 = 19;
 /// The distance of a position in millimetres.

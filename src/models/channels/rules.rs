@@ -1,6 +1,6 @@
-//! Integers that nearly all follow from their places by one rule. A bit per integer says whether it follows the rule,
-//! unless the encoder declared that it does; other predictors are consulted only for integers that do not.
-//! FORMAT.md 8.9, "Rules".
+//! Integers that nearly all follow from their places by one rule. A bit per integer says whether it follows
+//! the rule, unless the encoder declared that it does; other predictors are consulted only for integers that
+//! do not. FORMAT.md 8.9, "Rules".
 
 use super::integers::{ENTRIES, IntegersModel, Site, slot};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
@@ -15,12 +15,12 @@ pub enum Rule {
     Column,
     /// The integer that its beam had the last time that the integer before was the same.
     After,
-    /// A constant of its beam plus one of its azimuth tick: the time of a firing, if the columns of an image are
-    /// directions rather than firings.
+    /// A constant of its beam plus one of its azimuth tick: the time of a firing, if the columns of an image
+    /// are directions rather than firings.
     Tick,
-    /// A constant of its beam, a different one in each of this number of columns in turn, plus a base that changes
-    /// seldom: the time of a packet, and that of a firing in it. Frames start anywhere in a packet; see
-    /// [`RuleModel::code_phase`]. Sums in single precision are rounded; see [`RoundedSums`].
+    /// A constant of its beam, a different one in each of this number of columns in turn, plus a base that
+    /// changes seldom: the time of a packet, and that of a firing in it. Frames start anywhere in a packet;
+    /// see [`RuleModel::code_phase`]. Sums in single precision are rounded; see [`RoundedSums`].
     Turn(u8),
 }
 
@@ -65,8 +65,8 @@ impl Rule {
     }
 }
 
-/// Contexts of whether the rule is right: the last two answers, whether the column is a new one, and its number among
-/// the columns in turn.
+/// Contexts of whether the rule is right: the last two answers, whether the column is a new one, and its
+/// number among the columns in turn.
 const CONTEXTS: usize = 4 * 2 * TURN_CONTEXTS;
 const TURN_CONTEXTS: usize = 32;
 
@@ -97,8 +97,8 @@ impl Doubts {
     }
 }
 
-/// What the rule predicts from the integers so far. They count relative to what the position or the place implies, or
-/// to 0.
+/// What the rule predicts from the integers so far. They count relative to what the position or the place
+/// implies, or to 0.
 #[derive(Clone, Default)]
 pub struct RuleState {
     /// The number among the columns in turn that column 0 of the frame has.
@@ -143,13 +143,14 @@ struct Expected {
 }
 
 impl RuleModel {
-    /// Allocates the tables of a rule, before its first integer. `are_singles`: integers are ranks of float32 values.
+    /// Allocates the tables of a rule, before its first integer. `are_singles`: integers are ranks of float32
+    /// values.
     pub fn prepare(&mut self, rule: Rule, are_singles: bool) {
         self.state.prepare(rule, are_singles);
     }
 
-    /// Codes which of the columns in turn a frame starts with. The encoder passes its integers, each with the site of
-    /// its record.
+    /// Codes which of the columns in turn a frame starts with. The encoder passes its integers, each with the
+    /// site of its record.
     pub fn code_phase<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -162,8 +163,9 @@ impl RuleModel {
         }
     }
 
-    /// Codes for which of the next integers the rule may be wrong. The encoder passes these integers, each with the
-    /// site of its record, or `None` if it is off the scale; it also gets the state after all of them.
+    /// Codes for which of the next integers the rule may be wrong. The encoder passes these integers, each
+    /// with the site of its record, or `None` if it is off the scale; it also gets the state after all of
+    /// them.
     #[inline(always)]
     pub fn code_doubts<C: BitCoder>(
         &mut self,
@@ -175,8 +177,8 @@ impl RuleModel {
         let mut learned = None;
         if C::ENCODES {
             let state = learned.insert(self.state.clone());
-            // The number of records up to the last one that breaks the rule, and up to the last such record that is not
-            // in a new column.
+            // The number of records up to the last one that breaks the rule, and up to the last such record
+            // that is not in a new column.
             let (mut of_any, mut of_others) = (0, 0);
             for (record, known) in (1..).zip(known) {
                 let Some((site, integer)) = known else { continue };
@@ -339,8 +341,8 @@ impl RuleState {
         }
     }
 
-    /// Learns an integer above a base. If it is not the expected one, the base has changed, unless the next integer
-    /// is above the earlier base again: then only the constant of this integer has changed.
+    /// Learns an integer above a base. If it is not the expected one, the base has changed, unless the next
+    /// integer is above the earlier base again: then only the constant of this integer has changed.
     fn learn_base(&mut self, entry: usize, value: i64) {
         let missed = self.missed.take();
         let Some(offset) = self.offsets[entry] else {
@@ -361,8 +363,9 @@ impl RuleState {
     }
 }
 
-/// Sums of a base and a constant that were rounded to single precision: `t = f32(base + offset)`. A sum shows its base
-/// only to within half a unit in its last place; several sums narrow it down. All in double precision.
+/// Sums of a base and a constant that were rounded to single precision: `t = f32(base + offset)`. A sum shows
+/// its base only to within half a unit in its last place; several sums narrow it down. All in double
+/// precision.
 #[derive(Clone, Default)]
 struct RoundedSums {
     /// By entry, as for other sums.

@@ -182,7 +182,8 @@ fn grey_levels_take_what_their_neighbours_leave_open() {
 #[test]
 fn light_follows_from_its_neighbours_and_the_frame_before() {
     const RECORDS: u32 = 32_000;
-    // A picture of waves whose noise grows with the root of the light; nearer values are likelier; column by column.
+    // A picture of waves whose noise grows with the root of the light; nearer values are likelier; column by
+    // column.
     let light = |n: u32| {
         let wave = (f64::from(n / 40) / 5.0 + f64::from(n % 40) / 3.0).sin();
         let noise = f64::from(noise(n) % 64 + noise(n + 99_999) % 64) / 64.0 - 1.0;
@@ -259,7 +260,8 @@ fn what_repeats_far_away_is_compressed() {
     }
 }
 
-/// The records of a frame that begins with this firing of a packet, their firings counted from that of the packet.
+/// The records of a frame that begins with this firing of a packet, their firings counted from that of the
+/// packet.
 fn frame_from(firing: u32) -> (Vec<u32>, RecordContext) {
     let returns: Vec<u32> = returns().iter().map(|n| n + 16 * firing).collect();
     let mut context = context_of_firings(&returns);
@@ -332,8 +334,8 @@ enum Way {
     Image,
 }
 
-/// Codes frames of a column in some way, with one model for all of them, and checks that they are restored. Values are
-/// whole numbers or, off the scale, halves; `places` has the row and the column of each record.
+/// Codes frames of a column in some way, with one model for all of them, and checks that they are restored.
+/// Values are whole numbers or, off the scale, halves; `places` has the row and the column of each record.
 fn frames_round_trip_by(way: Way, places: &[(u8, u8)], frames: &[Vec<f32>]) {
     let scale = Scale::from_code(1).unwrap();
     let has_exceptions = frames.iter().flatten().any(|value| value.fract() != 0.0);

@@ -1,5 +1,5 @@
-//! The intensities around a return, and how well these were predicted. FORMAT.md 8.5, "Neighbours" and "Levels, if `coder`
-//! is 1".
+//! The intensities around a return, and how well these were predicted. FORMAT.md 8.5, "Neighbours" and
+//! "Levels, if `coder` is 1".
 
 use crate::inter::Reference;
 

@@ -14,8 +14,8 @@ const NEAR: u16 = 4;
 /// The context of the flag for values that are not on the grid, and that of such values.
 const IS_OFF_GRID: usize = 2 * LEVEL_CONTEXTS;
 const OFF_GRID: usize = IS_OFF_GRID + 1;
-/// The first context of the integers of a frame without a grid; the others follow, by the size of the difference
-/// before.
+/// The first context of the integers of a frame without a grid; the others follow, by the size of the
+/// difference before.
 const ROUGH: usize = OFF_GRID + 1;
 const ROUGH_SIZES: usize = 16;
 /// Number of contexts of an intensity.

@@ -1,6 +1,6 @@
 //! Least squares for many samples a solution: they are added to the normal equations only before these are
-//! solved, all at once, so that the matrix is loaded and stored once, and the solution works on whole rows. The
-//! results are the same as those of [`LeastSquares`](super::LeastSquares). FORMAT.md 7.1.
+//! solved, all at once, so that the matrix is loaded and stored once, and the solution works on whole rows.
+//! The results are the same as those of [`LeastSquares`](super::LeastSquares). FORMAT.md 7.1.
 
 use pulp::NullaryFnOnce;
 

@@ -1,8 +1,8 @@
 //! For an encoder: which point is the one before each point in its trail. The decoder is told.
 //!
-//! Files of most scanners hold firing after firing, so the point before is about as many points back as there are
-//! lasers, a few more or less where lasers see nothing. The likeliest sequence of such lags is found as one path
-//! through all points (Viterbi's algorithm).
+//! Files of most scanners hold firing after firing, so the point before is about as many points back as there
+//! are lasers, a few more or less where lasers see nothing. The likeliest sequence of such lags is found as
+//! one path through all points (Viterbi's algorithm).
 
 use std::collections::{HashMap, HashSet};
 
@@ -14,8 +14,8 @@ use crate::scan::Channel;
 
 /// The longest lag.
 const LONGEST: usize = 260;
-/// The cost of a point that has none before it, of a lag that has nothing to do with the last one, and of one that
-/// differs by 1, 2 or 3.
+/// The cost of a point that has none before it, of a lag that has nothing to do with the last one, and of one
+/// that differs by 1, 2 or 3.
 const NONE: f32 = 24.0;
 const JUMP: f32 = 7.0;
 const CHANGES: [f32; 3] = [2.2, 2.9, 3.6];
@@ -64,8 +64,8 @@ fn rough_log2(value: f32) -> f32 {
     (bits >> 23) as f32 - 127.0 + (bits & 0x7f_ffff) as f32 / 8_388_608.0
 }
 
-/// For each point of `own`, the index in `own` of its predecessor on the same trail: once by each channel that may tell
-/// which laser measured the points.
+/// For each point of `own`, the index in `own` of its predecessor on the same trail: once by each channel
+/// that may tell which laser measured the points.
 pub fn by_channels(channels: &[Channel], points: usize, own: &[usize]) -> Vec<Vec<Option<usize>>> {
     let lasers = channels.iter().filter_map(|channel| lasers(channel, points, own));
     let by_laser = lasers.map(|lasers| {
@@ -92,8 +92,9 @@ fn lasers<'a>(channel: &'a Channel, points: usize, own: &[usize]) -> Option<Vec<
     values.filter(|values| values.iter().any(|value| *value != values[0]))
 }
 
-/// For each point of `own`, the index in `own` of its predecessor on the same trail, found from the order of the points.
-/// The result for the first n points, n a multiple of [`BLOCK`], does not depend on those after them.
+/// For each point of `own`, the index in `own` of its predecessor on the same trail, found from the order of
+/// the points. The result for the first n points, n a multiple of [`BLOCK`], does not depend on those after
+/// them.
 pub fn by_order(positions: &[[f32; 3]], own: &[usize]) -> Vec<Option<usize>> {
     /// Points before a trail's end that are looked at where the likeliest lag leads nowhere.
     const REACH: usize = 3 * LONGEST;

@@ -67,7 +67,8 @@ impl Default for Sources {
 }
 
 impl Sources {
-    /// The index of the point at the last distance; `None` if there is none, as at first or in damaged streams.
+    /// The index of the point at the last distance; `None` if there is none, as at first or in damaged
+    /// streams.
     fn next(&self, index: usize) -> Option<usize> {
         index.checked_sub(self.distance).filter(|_| self.distance > 0)
     }
@@ -120,8 +121,8 @@ impl RepeatModel {
         all
     }
 
-    /// Codes how a point repeats an earlier one. The context is the kind of the point before, and whether the next point
-    /// of a run is itself a repeat.
+    /// Codes how a point repeats an earlier one. The context is the kind of the point before, and whether the
+    /// next point of a run is itself a repeat.
     fn code_repeat<C: BitCoder>(
         &mut self,
         coder: &mut C,
@@ -143,8 +144,8 @@ impl RepeatModel {
 
 /// For an encoder: how each point repeats an earlier one.
 pub fn find(positions: &[[f32; 3]]) -> Vec<Repeat> {
-    /// A run that begins with a new distance has at least this many points; what fewer points have in common may be
-    /// chance.
+    /// A run that begins with a new distance has at least this many points; what fewer points have in common
+    /// may be chance.
     const SHORTEST: usize = 4;
     let bits = |index: usize| positions.get(index).map(|position| position.map(f32::to_bits));
     let is_run = |before: usize, index: usize| {

@@ -68,7 +68,8 @@ pub struct Expected<const N: usize> {
 /// Number of contexts of what is known of a coordinate.
 pub const DETAILS: usize = 64;
 
-/// The class of a number by its size: below 2^(`smallest` + 1) it is class 0, below twice that class 1, and so on.
+/// The class of a number by its size: below 2^(`smallest` + 1) it is class 0, below twice that class 1, and
+/// so on.
 fn size_class(value: f64, smallest: i32, classes: i32) -> usize {
     (exponent(value) - smallest).clamp(0, classes - 1) as usize
 }
@@ -86,8 +87,8 @@ pub struct Site {
     /// The nearest partner and its predecessor.
     north: Place,
     north_west: Place,
-    /// How far the laser is expected to have turned since `west`, in radians: as far as that of the nearest partner, and as
-    /// that of the middle one of three.
+    /// How far the laser is expected to have turned since `west`, in radians: as far as that of the nearest
+    /// partner, and as that of the middle one of three.
     step: f64,
     middle_step: f64,
     /// In metres, the parallax.
@@ -95,8 +96,8 @@ pub struct Site {
 }
 
 impl Site {
-    /// The surroundings of the next point, after `places`. `west` has the indices of the two points before it in its trail;
-    /// `None` if it begins one.
+    /// The surroundings of the next point, after `places`. `west` has the indices of the two points before it
+    /// in its trail; `None` if it begins one.
     pub fn of(places: &[Place], west: Option<[usize; 2]>, parallax: &Parallax) -> Self {
         let next = places.len();
         let at = |index: usize| places.get(index).copied().unwrap_or_default();
@@ -128,7 +129,8 @@ impl Site {
         Expected { predictions: distances.map(|distance| distance * share), detail: own * 8 + of_partner }
     }
 
-    /// The smaller of the horizontal coordinates, given the larger one, its axis and its share of the direction.
+    /// The smaller of the horizontal coordinates, given the larger one, its axis and its share of the
+    /// direction.
     pub fn smaller_coordinate(&self, larger: f64, axis: usize, share: f64) -> Expected<4> {
         let Site { west, west2, north, north_west, .. } = self;
         let closer = closeness(larger / share) - west.closeness();
@@ -146,14 +148,15 @@ impl Site {
         Expected { predictions, detail: size_class(closer, -22, 32) }
     }
 
-    /// How the point lies from `west`, as features of its height: farther, along x, along y, in tenths of a millimetre; and 1.
-    /// Its height need not be known.
+    /// How the point lies from `west`, as features of its height: farther, along x, along y, in tenths of a
+    /// millimetre; and 1. Its height need not be known.
     pub fn features(&self, own: &Place) -> [f32; 4] {
         let along = |axis: usize| own.position[axis] - self.west.position[axis];
         [tenths(own.distance - self.west.distance), tenths(along(0)), tenths(along(1)), 1.0]
     }
 
-    /// The height of a point whose horizontal coordinates are known, given how it changes along its laser's cone.
+    /// The height of a point whose horizontal coordinates are known, given how it changes along its laser's
+    /// cone.
     pub fn height(&self, own: &Place, features: &[f32; 4], cone: &LeastSquares<4>) -> Expected<4> {
         let height = self.west.position[2];
         let [west, north, north_west] =
@@ -191,8 +194,8 @@ fn tenths(metres: f64) -> f32 {
     (metres * TENTHS).clamp(-1e7, 1e7) as f32
 }
 
-/// The latest points of other lasers that were measured together with the coming one, as far as their predecessors were
-/// measured together with its own.
+/// The latest points of other lasers that were measured together with the coming one, as far as their
+/// predecessors were measured together with its own.
 struct Partners {
     /// The latest partner, and its predecessor.
     nearest: [usize; 2],
@@ -235,8 +238,8 @@ impl Partners {
     }
 }
 
-/// How far beside the origin the beams begin: for a moving scanner, or one that is not the origin, a laser's azimuth
-/// changes with the distance of what it hits.
+/// How far beside the origin the beams begin: for a moving scanner, or one that is not the origin, a laser's
+/// azimuth changes with the distance of what it hits.
 #[derive(Clone)]
 pub struct Parallax(LeastSquares<1>);
 

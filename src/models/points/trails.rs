@@ -1,8 +1,8 @@
-//! The trails of a frame: the points of one laser, one after the other, as far as the points themselves tell. FORMAT.md
-//! 8.4.
+//! The trails of a frame: the points of one laser, one after the other, as far as the points themselves tell.
+//! FORMAT.md 8.4.
 //!
-//! Trails form a ring in the order in which their lasers fire. From a point's trail, the next point's is found by
-//! asking trail after trail whether it goes on.
+//! Trails form a ring in the order in which their lasers fire. From a point's trail, the next point's is
+//! found by asking trail after trail whether it goes on.
 
 use crate::entropy::{AdaptiveBit, BitCoder};
 use crate::models::LeastSquares;
@@ -74,8 +74,8 @@ pub struct Trails {
 }
 
 impl Trails {
-    /// Codes which trail a point continues, and moves to it; an encoder passes the index of the point before it in its
-    /// trail. Returns false if the point begins a trail.
+    /// Codes which trail a point continues, and moves to it; an encoder passes the index of the point before
+    /// it in its trail. Returns false if the point begins a trail.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,

@@ -41,8 +41,8 @@ struct Weights<const P: usize> {
     seen: u16,
 }
 
-/// The predictions for a cell, in steps, placed in the table of the error shape, and the context for each set of
-/// weights.
+/// The predictions for a cell, in steps, placed in the table of the error shape, and the context for each set
+/// of weights.
 pub struct Predicted<const P: usize, const M: usize> {
     values: [f32; P],
     contexts: [usize; M],

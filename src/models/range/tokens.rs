@@ -33,8 +33,9 @@ pub struct RangeTokens {
 }
 
 impl RangeTokens {
-    /// Codes the range, in steps, of every cell that holds a return: the number of its bin among bins that are centred
-    /// on the prediction. If bins are wider than a step, both sides continue with the middles of the bins.
+    /// Codes the range, in steps, of every cell that holds a return: the number of its bin among bins that
+    /// are centred on the prediction. If bins are wider than a step, both sides continue with the middles of
+    /// the bins.
     pub fn code<C: TokenCoder>(
         &mut self,
         coder: &mut C,

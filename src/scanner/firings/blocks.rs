@@ -1,5 +1,5 @@
-//! Finds the ticks of blocks, and the ticks from block to block, of scanners whose azimuth advances while their lasers
-//! fire.
+//! Finds the ticks of blocks, and the ticks from block to block, of scanners whose azimuth advances while
+//! their lasers fire.
 
 use super::projection::{Column, Place};
 use super::timing::{Span, passed_ticks};
@@ -35,22 +35,23 @@ impl Firings {
         span / f64::from(self.build.timing.firings(self.rows()).max(1))
     }
 
-    /// Whether a place with a later slot may belong to the same firing, given the ticks between blocks and firings.
+    /// Whether a place with a later slot may belong to the same firing, given the ticks between blocks and
+    /// firings.
     pub(super) fn goes_on(&self, last: &Place, place: &Place, (span, firing): (f64, f64)) -> bool {
         if !self.build.timing.is_interpolated() {
             let off = self.turned(last.column_tick, place.column_tick).unsigned_abs();
             return off <= u64::from(last.slack + place.slack);
         }
-        // A place of the next firing is off by more than half of the ticks between firings. In some blocks no ticks
-        // pass.
+        // A place of the next firing is off by more than half of the ticks between firings. In some blocks no
+        // ticks pass.
         let expected = (self.passed(0, place.slot) - self.passed(0, last.slot)) * span;
         let turned = self.turned(last.column_tick, place.column_tick);
         let slack = f64::from(last.slack + place.slack);
         (turned == 0 && !self.lags.is_empty()) || (turned as f64 - expected).abs() <= 0.5 * firing + slack
     }
 
-    /// Finds the tick of each block and the ticks to the next one: those that explain the ticks of most of its
-    /// places.
+    /// Finds the tick of each block and the ticks to the next one: those that explain the ticks of most of
+    /// its places.
     pub(super) fn find_spans(&self, places: &[Place], columns: &mut [Column], usual: f64) {
         /// Number of unexplained blocks after which the search may be abandoned.
         const MOST_FAILURES: usize = 16;
@@ -105,9 +106,9 @@ impl Firings {
         }
     }
 
-    /// The tick of a block of these columns, the first of which is firing `first_firing` of the block, and the
-    /// ticks to the next one: those that explain the most places. On ties, those nearest to what the next block
-    /// implies, or to those of the block before, which ends at tick `before`.
+    /// The tick of a block of these columns, the first of which is firing `first_firing` of the block, and
+    /// the ticks to the next one: those that explain the most places. On ties, those nearest to what the next
+    /// block implies, or to those of the block before, which ends at tick `before`.
     fn block(
         &self,
         places: &[Place],
@@ -164,12 +165,12 @@ struct Block<'a> {
 }
 
 impl Block<'_> {
-    /// The tick within [`OFF`] of `from`, and the span, that explain the most places. On ties, those nearest to `from`
-    /// and to the span at which the next block begins at `told`, or else to the `last` one.
+    /// The tick within [`OFF`] of `from`, and the span, that explain the most places. On ties, those nearest
+    /// to `from` and to the span at which the next block begins at `told`, or else to the `last` one.
     fn best(&self, from: i64, told: Option<i64>, (last, usual): (u32, u32)) -> Option<BlockFit> {
         let turn = i64::from(self.scanner.build.ticks);
-        // With a table of parts, ticks advance from every base in the same way, so the places that a span explains are
-        // counted for all bases at once.
+        // With a table of parts, ticks advance from every base in the same way, so the places that a span
+        // explains are counted for all bases at once.
         let parts = match &self.scanner.build.timing {
             Timing::Parts(parts) if turn > 2 * OFF => Some(parts),
             _ => None,
@@ -218,8 +219,8 @@ impl Block<'_> {
         self.size - missed
     }
 
-    /// The places that a span explains if the block starts within [`OFF`] of `from`, given the parts of a span that
-    /// pass before each slot.
+    /// The places that a span explains if the block starts within [`OFF`] of `from`, given the parts of a
+    /// span that pass before each slot.
     fn count(&self, parts: &[u32], span: u32, from: i64) -> Counts {
         let turn = i64::from(self.scanner.build.ticks);
         let mut counts = Counts::default();
@@ -244,8 +245,8 @@ impl Block<'_> {
     }
 }
 
-/// The explanation of a block: its tick, the ticks to the next one, and the number of places for which they are
-/// right.
+/// The explanation of a block: its tick, the ticks to the next one, and the number of places for which they
+/// are right.
 #[derive(Clone, Copy)]
 struct BlockFit {
     tick: u32,
@@ -253,7 +254,8 @@ struct BlockFit {
     fitting: usize,
 }
 
-/// The first place whose tick is certain, or that whose tick is surest, and the number that its column comes with.
+/// The first place whose tick is certain, or that whose tick is surest, and the number that its column comes
+/// with.
 fn surest<'p, 'c>(
     columns: impl Iterator<Item = (&'c Column, u32)> + Clone,
     places: impl Fn(&Column) -> &'p [Place],

@@ -1,6 +1,6 @@
-//! Clouds whose coordinates were rounded to millimetres or coarser after they were computed. The rounding moves a point
-//! by an angle that is the greater the nearer the point is: near points may seem to have another tick, and far ones
-//! determine the scanner.
+//! Clouds whose coordinates were rounded to millimetres or coarser after they were computed. The rounding
+//! moves a point by an angle that is the greater the nearer the point is: near points may seem to have
+//! another tick, and far ones determine the scanner.
 
 use std::f64::consts::TAU;
 
@@ -12,8 +12,8 @@ use crate::ground::rounding::round_ties_even;
 use crate::scan::PointCloud;
 use crate::scanner::{Coordinates, Projection, Return};
 
-/// By how much rounding has moved points, in metres along an axis, at most; 0 if the grid is so fine that it does not
-/// matter.
+/// By how much rounding has moved points, in metres along an axis, at most; 0 if the grid is so fine that it
+/// does not matter.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Blur(f64);
 
@@ -64,7 +64,8 @@ impl Blur {
         round_ties_even(2e6 * self.0) as u32
     }
 
-    /// By how many ticks the tick nearest to a point, at this distance from the axis in metres, may differ from its own.
+    /// By how many ticks the tick nearest to a point, at this distance from the axis in metres, may differ
+    /// from its own.
     #[inline]
     pub fn ticks(self, distance: f64, ticks: u32) -> u32 {
         let metres = distance * TAU / f64::from(ticks);
@@ -81,8 +82,8 @@ impl Blur {
         if self.is_any() { self.in_space() / metres } else { 0.0 }
     }
 
-    /// The range of the nearest point from which a scanner is fitted, in metres: some to be tried one after the other,
-    /// falling.
+    /// The range of the nearest point from which a scanner is fitted, in metres: some to be tried one after
+    /// the other, falling.
     pub fn nearest(self, points: &[Point]) -> Vec<f64> {
         /// In radians: the largest angles by which a point may have been moved along an axis.
         const ANGLES: [f64; 3] = [6e-5, 2.5e-4, 1e-3];
@@ -108,8 +109,8 @@ impl Firings {
             || (place.slack > 0 && self.turned(tick, place.tick).unsigned_abs() <= u64::from(place.slack))
     }
 
-    /// The range of a place at a tick of its laser, in steps: its own, or if the coordinates were rounded, the one that
-    /// reproduces the most of them. `None` if it is at another tick.
+    /// The range of a place at a tick of its laser, in steps: its own, or if the coordinates were rounded,
+    /// the one that reproduces the most of them. `None` if it is at another tick.
     #[inline(always)]
     pub(super) fn steps_at(
         &self,
@@ -156,8 +157,8 @@ impl Firings {
         tried.filter_map(tried_steps).reduce(better).map(|(_, steps)| steps)
     }
 
-    /// Gives columns the ticks that agree with all of their places or, if there are several such ticks, the one that
-    /// the turn of the columns before makes likely.
+    /// Gives columns the ticks that agree with all of their places or, if there are several such ticks, the
+    /// one that the turn of the columns before makes likely.
     pub(super) fn settle_ticks(&self, places: &[Place], columns: &mut [Column]) {
         let (mut last, mut step) = (None, 0);
         for column in columns {

@@ -1,5 +1,5 @@
-//! The constants of lasers, such that the file's coordinates are reproduced to the last bit: elevations and azimuth
-//! offsets, rounded as manufacturers round them, and the recipe, found by trying all of them.
+//! The constants of lasers, such that the file's coordinates are reproduced to the last bit: elevations and
+//! azimuth offsets, rounded as manufacturers round them, and the recipe, found by trying all of them.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -68,7 +68,8 @@ impl<'m> Point<'m> {
         Point { range: rho / libm::cos(elevation), elevation, ..self }
     }
 
-    /// Whether a scanner's recipe reproduces the point's coordinates in the file to the last bit, along these axes.
+    /// Whether a scanner's recipe reproduces the point's coordinates in the file to the last bit, along these
+    /// axes.
     fn is_reproduced_by(&self, scanner: &Firings, found: &Return, axes: std::ops::Range<usize>) -> bool {
         let Some(Moved { by, position, .. }) = self.moved else {
             return scanner.reproduces(found, &self.position, axes);
@@ -161,8 +162,8 @@ pub(super) struct LaserFit {
 }
 
 impl Constants<'_> {
-    /// The recipe that reproduces the most points to the last bit (the first one on ties), and the lasers. `shifts` are
-    /// the whole ticks by which each laser is ahead of the others.
+    /// The recipe that reproduces the most points to the last bit (the first one on ties), and the lasers.
+    /// `shifts` are the whole ticks by which each laser is ahead of the others.
     pub fn determine(&self, build: &Build, shifts: &[f64]) -> Option<LaserFit> {
         /// Number of lasers by which the recipe is chosen.
         const FEW: usize = 6;
@@ -186,8 +187,8 @@ impl Constants<'_> {
             false => recipe.starts_in_beam(),
         });
         let known = recipes.map(|recipe| Firings::without_lasers(Build { recipe, ..build.clone() }));
-        // A recipe that reproduces fewer points than another need not be counted to the end, and one after the first
-        // that reproduces all of them need not be tried.
+        // A recipe that reproduces fewer points than another need not be counted to the end, and one after
+        // the first that reproduces all of them need not be tried.
         let (most, first_perfect) = (AtomicUsize::new(0), AtomicUsize::new(usize::MAX));
         let tried = known.clone().filter_map(|bare| {
             let number = bare.build.recipe as usize;
@@ -217,8 +218,8 @@ impl Constants<'_> {
             let offset = offsets[row] + f64::from(common) * tick;
             let (elevations, _) = self.elevations(&bare, row, 0);
             let (mut laser, exact) = self.laser_among(&bare, row, offset, &elevations, 0);
-            // The offset may be wrong by whole ticks of its own, because there were too few points or because ticks
-            // pass until the laser fires.
+            // The offset may be wrong by whole ticks of its own, because there were too few points or because
+            // ticks pass until the laser fires.
             if may_turn && 4 * exact < 3 * self.of_rows[row].len() {
                 laser = self.turned(&bare, row, offset, &elevations).0;
             }
@@ -229,8 +230,8 @@ impl Constants<'_> {
         Some(LaserFit { recipe: bare.build.recipe, lasers, are_turned })
     }
 
-    /// What reproduces points whose coordinates were rounded, given the offsets of the lasers in degrees. Rounding hides
-    /// which recipe it was, and the last digits of constants.
+    /// What reproduces points whose coordinates were rounded, given the offsets of the lasers in degrees.
+    /// Rounding hides which recipe it was, and the last digits of constants.
     fn of_rounded(&self, build: &Build, offsets: &[f64]) -> LaserFit {
         /// Digits of angles in degrees; the last are those of the unit.
         const DIGITS: [f64; 4] = [1.0, 1e2, 1e3, 1.0 / ANGLE_UNIT];
@@ -254,9 +255,10 @@ impl Constants<'_> {
         LaserFit { recipe, lasers, are_turned: false }
     }
 
-    /// Number of points of these rows that are reproduced if each offset is corrected by whole ticks of its own, as
-    /// is necessary if ticks pass between the lasers of a firing. 0 if points were moved, if the recipe does not
-    /// round sums to single precision, or if it does not reproduce three quarters of the heights.
+    /// Number of points of these rows that are reproduced if each offset is corrected by whole ticks of its
+    /// own, as is necessary if ticks pass between the lasers of a firing. 0 if points were moved, if the
+    /// recipe does not round sums to single precision, or if it does not reproduce three quarters of the
+    /// heights.
     fn exact_turned(&self, bare: &Firings, offsets: &[f64], few: &[usize]) -> usize {
         if self.are_moved(few) || !bare.build.recipe.adds_in_single() {
             return 0;
@@ -269,9 +271,9 @@ impl Constants<'_> {
         few.iter().zip(&elevations).map(exact).sum()
     }
 
-    /// The laser near another one that reproduces the most of many points to the last bit. With sums in single
-    /// precision, only many points determine the offset, and only then does the cosine distinguish elevations of
-    /// equal sine.
+    /// The laser near another one that reproduces the most of many points to the last bit. With sums in
+    /// single precision, only many points determine the offset, and only then does the cosine distinguish
+    /// elevations of equal sine.
     fn of_sums(&self, bare: &Firings, row: usize, laser: Laser) -> Laser {
         let points = &self.more_of_rows[row];
         let sharpest = |laser: Laser| sharpest(bare, laser, points, &self.near_axes[row]);
@@ -288,8 +290,8 @@ impl Constants<'_> {
         same_sine.map(sharpest).fold(first, |best, next| if next.1 > best.1 { next } else { best }).0
     }
 
-    /// The constants of a laser whose azimuth offset, in degrees, is wrong by an unknown number of whole ticks, and
-    /// how many of its points they reproduce to the last bit, given the likeliest elevations.
+    /// The constants of a laser whose azimuth offset, in degrees, is wrong by an unknown number of whole
+    /// ticks, and how many of its points they reproduce to the last bit, given the likeliest elevations.
     fn turned(&self, bare: &Firings, row: usize, offset: f64, elevations: &[i64]) -> (Laser, usize) {
         /// Largest number of ticks that pass while the lasers fire.
         const MOST: i32 = 40;
@@ -307,8 +309,8 @@ impl Constants<'_> {
         if others > exact && 4 * others >= 3 * points.len() { (other, others) } else { (laser, exact) }
     }
 
-    /// The whole ticks by which all offsets are wrong, as far as these rows determine them, and how many of their
-    /// points are then reproduced: possibly 0 if there are fewer than `least`.
+    /// The whole ticks by which all offsets are wrong, as far as these rows determine them, and how many of
+    /// their points are then reproduced: possibly 0 if there are fewer than `least`.
     fn common(&self, bare: &Firings, offsets: &[f64], few: &[usize], least: usize) -> (i32, usize) {
         /// Smaller offsets, in degrees, count as none.
         const NONE: f64 = 1e-5;
@@ -316,8 +318,8 @@ impl Constants<'_> {
         let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
         let has_none = offsets.iter().all(|offset| offset.abs() < NONE);
         let is_known = is_whole && (has_none || !bare.build.recipe.adds_in_single());
-        // Heights do not depend on the offset, so they show whether this is the right recipe at all. The heights of
-        // points that were moved show nothing.
+        // Heights do not depend on the offset, so they show whether this is the right recipe at all. The
+        // heights of points that were moved show nothing.
         let elevations = self.elevations_of(bare, few, if self.are_moved(few) { 0 } else { least });
         if elevations.is_empty() {
             return (0, 0);
@@ -326,7 +328,8 @@ impl Constants<'_> {
         let (mut found, mut left) = (Vec::new(), points - least.min(points));
         for (&row, (elevations, _)) in few.iter().zip(&elevations) {
             let least = if is_known { self.of_rows[row].len().saturating_sub(left) } else { 0 };
-            // `least` depends on what other threads have found so far, so it must not decide whether to give up.
+            // `least` depends on what other threads have found so far, so it must not decide whether to give
+            // up.
             let wanted = if is_known { least.max(1) } else { 0 };
             let (laser, exact) = self.laser_among(bare, row, offsets[row], elevations, wanted);
             if exact < least {
@@ -350,8 +353,8 @@ impl Constants<'_> {
         rows.iter().any(|&row| self.of_rows[row].iter().any(|point| point.moved.is_some()))
     }
 
-    /// The likeliest elevations of these lasers, in units, and for how many points they reproduce the height; nothing
-    /// if there are certainly fewer than `least` of these points.
+    /// The likeliest elevations of these lasers, in units, and for how many points they reproduce the height;
+    /// nothing if there are certainly fewer than `least` of these points.
     fn elevations_of(&self, bare: &Firings, rows: &[usize], least: usize) -> Vec<(Vec<i64>, usize)> {
         let points: usize = rows.iter().map(|&row| self.of_rows[row].len()).sum();
         let mut left = points.checked_sub(least);
@@ -369,8 +372,8 @@ impl Constants<'_> {
     /// The same for one laser.
     fn elevations(&self, bare: &Firings, row: usize, least: usize) -> (Vec<i64>, usize) {
         let points = &self.of_rows[row];
-        // Ranges are whole steps, so the height and the rounded range give the elevation more accurately than the
-        // position does, if beams start in the axis.
+        // Ranges are whole steps, so the height and the rounded range give the elevation more accurately than
+        // the position does, if beams start in the axis.
         let elevation = |point: &Point| {
             if bare.build.origin != Origin::default() {
                 return Some(point.elevation);
@@ -389,14 +392,14 @@ impl Constants<'_> {
         angles(bare.build.recipe, elevation, (points.len(), least), 0.0, of_elevation)
     }
 
-    /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they reproduce to
-    /// the last bit.
+    /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they
+    /// reproduce to the last bit.
     fn laser(&self, bare: &Firings, row: usize, offset: f64) -> (Laser, usize) {
         self.laser_among(bare, row, offset, &self.elevations(bare, row, 0).0, 0)
     }
 
-    /// The same, given the likeliest elevations; possibly without points if there are fewer than `least`. If that is
-    /// 0, gives up where the offset is clearly wrong.
+    /// The same, given the likeliest elevations; possibly without points if there are fewer than `least`. If
+    /// that is 0, gives up where the offset is clearly wrong.
     fn laser_among(
         &self,
         bare: &Firings,
@@ -422,8 +425,8 @@ impl Constants<'_> {
             if exact > best.1 {
                 best = (Laser { elevation, azimuth: azimuths.first().copied().unwrap_or(azimuth) }, exact);
             }
-            // Elevations of the same sine differ little in their cosine, so if the first one reproduces no point at all,
-            // the offset is wrong.
+            // Elevations of the same sine differ little in their cosine, so if the first one reproduces no
+            // point at all, the offset is wrong.
             if exact == points.len() || (best.1 == 0 && least == 0) {
                 break;
             }
@@ -455,8 +458,8 @@ impl Tried<'_> {
         (1..=most).flat_map(|common| [common, -common])
     }
 
-    /// The error, and the number of points that are then reproduced, if ticks are no whole thousandths of degrees. With
-    /// the right one most offsets are.
+    /// The error, and the number of points that are then reproduced, if ticks are no whole thousandths of
+    /// degrees. With the right one most offsets are.
     fn common_of_fractions(&self) -> (i32, usize) {
         /// The largest error that is tried.
         const FARTHEST: i32 = 4;
@@ -476,8 +479,8 @@ impl Tried<'_> {
         (best.0, best.1.0)
     }
 
-    /// The same if ticks are whole thousandths of degrees: whole ticks then matter only because the recipe rounds sums to
-    /// single precision. The error is 0 if fewer than `least` points would be reproduced.
+    /// The same if ticks are whole thousandths of degrees: whole ticks then matter only because the recipe
+    /// rounds sums to single precision. The error is 0 if fewer than `least` points would be reproduced.
     fn common_in_single_precision(&self, least: usize) -> (i32, usize) {
         /// The largest error that is tried.
         const FARTHEST: i32 = 1200;
@@ -505,7 +508,8 @@ impl Tried<'_> {
         let are_thousandths = are_moved || self.rows.iter().all(is_thousandth);
         let all = std::iter::once(0).chain(Self::rising(FARTHEST));
         let common = if are_thousandths && !are_moved {
-            // No more of these points may be missed than of all points, and with the right error most are reproduced.
+            // No more of these points may be missed than of all points, and with the right error most are
+            // reproduced.
             let size: usize = fewer.iter().map(Vec::len).sum();
             let least = size.saturating_sub(points - least.min(points)).max(size * 3 / 4).max(1);
             let found = all.fold((least - 1, 0), |best, common| {
@@ -520,8 +524,8 @@ impl Tried<'_> {
         if sum > exact { (common, sum) } else { (0, exact) }
     }
 
-    /// The number of these points of the rows that are reproduced if all offsets are wrong by this number of ticks, or
-    /// `None` if there are fewer than `least`.
+    /// The number of these points of the rows that are reproduced if all offsets are wrong by this number of
+    /// ticks, or `None` if there are fewer than `least`.
     fn count(
         &self,
         common: i32,
@@ -542,8 +546,9 @@ impl Tried<'_> {
         Some(least + left)
     }
 
-    /// The error with which the most points are reproduced, while the motion or the last digits of the offsets are not
-    /// known well. Few points are then reproduced, so the likeliest errors are compared on more points.
+    /// The error with which the most points are reproduced, while the motion or the last digits of the
+    /// offsets are not known well. Few points are then reproduced, so the likeliest errors are compared on
+    /// more points.
     fn likeliest(&self, all: impl Iterator<Item = i32>, are_moved: bool, fewer: &[Vec<Point>]) -> i32 {
         /// Number of errors that are compared.
         const LIKELIEST: usize = 32;
@@ -572,7 +577,8 @@ fn first_of_equals<T>(all: Vec<T>, worth: impl Fn(&T) -> usize) -> Option<T> {
     all.into_iter().rev().max_by_key(worth)
 }
 
-/// The laser with an azimuth offset near the given one that reproduces the most points to the last bit, and how many.
+/// The laser with an azimuth offset near the given one that reproduces the most points to the last bit, and
+/// how many.
 fn polished(bare: &Firings, laser: Laser, points: &[Point]) -> (Laser, usize) {
     /// Steps to either side.
     const FARTHEST: i64 = 12;
@@ -581,8 +587,8 @@ fn polished(bare: &Firings, laser: Laser, points: &[Point]) -> (Laser, usize) {
     best_of(bare, tried, points, laser)
 }
 
-/// The same, to the last bit of the offset in degrees. Points near the axes determine it, because sums of angles are
-/// small there.
+/// The same, to the last bit of the offset in degrees. Points near the axes determine it, because sums of
+/// angles are small there.
 fn sharpest(bare: &Firings, laser: Laser, points: &[Point], near_axes: &[Point]) -> (Laser, usize) {
     /// Units to either side.
     const FARTHEST: f64 = 4.0 * AZIMUTH_STEP;
@@ -596,8 +602,8 @@ fn sharpest(bare: &Firings, laser: Laser, points: &[Point], near_axes: &[Point])
     if exact_so >= exact { (best, exact_so) } else { (laser, exact) }
 }
 
-/// The laser that reproduces the most points to the last bit, the first one on ties, and how many; `none` if no laser
-/// reproduces any.
+/// The laser that reproduces the most points to the last bit, the first one on ties, and how many; `none` if
+/// no laser reproduces any.
 pub(super) fn best_of(
     bare: &Firings,
     lasers: impl Iterator<Item = Laser>,
@@ -615,8 +621,8 @@ const AZIMUTH_STEP: f64 = 1e-6 / ANGLE_UNIT;
 /// Largest number of elevations with the same sine in single precision.
 const SAME: usize = 12;
 
-/// Number of points of a laser that are reproduced to the last bit along these axes; 0 as soon as there are certainly
-/// fewer than `least`.
+/// Number of points of a laser that are reproduced to the last bit along these axes; 0 as soon as there are
+/// certainly fewer than `least`.
 pub(super) fn exact_points(
     bare: &Firings,
     laser: Laser,
@@ -640,9 +646,9 @@ pub(super) fn exact_points(
 }
 
 /// The angles near another, in units, that reproduce the most points, and how many. Tries the angle as its
-/// manufacturer may have written it, and neighbours at the resolution of the program's numbers, but in steps of at
-/// least `least_step`. Fewer than `least` points count as none. `count` returns the number of points that an angle
-/// reproduces, or 0 if there are fewer than its second argument.
+/// manufacturer may have written it, and neighbours at the resolution of the program's numbers, but in steps
+/// of at least `least_step`. Fewer than `least` points count as none. `count` returns the number of points
+/// that an angle reproduces, or 0 if there are fewer than its second argument.
 fn angles(
     recipe: Recipe,
     near: i64,
@@ -683,15 +689,15 @@ fn angles(
     best
 }
 
-/// Some programs convert degrees to radians with 3.1415926 for pi: their angles are thousandths of degrees times
-/// this.
+/// Some programs convert degrees to radians with 3.1415926 for pi: their angles are thousandths of degrees
+/// times this.
 const SHORT_PI: f64 = 31_415_926.0 / 1e7 / std::f64::consts::PI;
 
 /// Number of steps to either side that are tried, for a constant that a program wrote with fewer digits.
 const NEIGHBOURS: i32 = 12;
 
-/// An angle in degrees as its manufacturer may have written it, in units: with three, six, two, four and seven
-/// digits, and unrounded.
+/// An angle in degrees as its manufacturer may have written it, in units: with three, six, two, four and
+/// seven digits, and unrounded.
 fn roundings(degrees: f64) -> [i64; 6] {
     let units = 1.0 / ANGLE_UNIT;
     [1e3, 1e6, 1e2, 1e4, 1e7, units]

@@ -1,6 +1,6 @@
-//! Fits a scanner of firings to points alone: the range step and the azimuth ticks by the coherence of the points
-//! with them, the lasers by their cones and [constants](super::constants), and their order by which laser follows
-//! which.
+//! Fits a scanner of firings to points alone: the range step and the azimuth ticks by the coherence of the
+//! points with them, the lasers by their cones and [constants](super::constants), and their order by which
+//! laser follows which.
 
 use std::borrow::Cow;
 use std::f64::consts::TAU;
@@ -17,8 +17,8 @@ use crate::ground::rounding::round_ties_even;
 use crate::scan::{PointCloud, ScanFile};
 use crate::scanner::{Coordinates, REACH};
 
-/// Range steps of known scanners, in micrometres, coarse ones first: multiples of a step are also multiples of its
-/// divisors.
+/// Range steps of known scanners, in micrometres, coarse ones first: multiples of a step are also multiples
+/// of its divisors.
 const RANGE_STEPS_UM: [u32; 9] = [12_000, 10_000, 8_000, 5_000, 4_000, 2_500, 2_000, 1_000, 500];
 /// Ticks per turn of known scanners: small numbers first, for the same reason, and hundredths of degrees.
 const TICKS: [u32; 5] = [512, 1024, 2048, 4096, HUNDREDTHS];
@@ -33,17 +33,18 @@ const LEAST_COHERENT: f64 = 0.1;
 const NEARLY_ALL: f64 = 0.995;
 /// A scanner that explains a smaller share of the points is rejected.
 const LEAST_SHARE: f64 = 0.5;
-/// Largest distance of a laser's azimuths from whole ticks, as a fraction of a tick, if a program knows only whole
-/// ticks.
+/// Largest distance of a laser's azimuths from whole ticks, as a fraction of a tick, if a program knows only
+/// whole ticks.
 const WHOLE_PHASE: f64 = 0.02;
 /// A sufficient number of points.
 const SAMPLE: usize = 4000;
-/// Distances of the focal points of Velodyne's scanners from their axes, in micrometres: VLP-16, VLP-32, VLS-128, HDL-32E.
+/// Distances of the focal points of Velodyne's scanners from their axes, in micrometres: VLP-16, VLP-32,
+/// VLS-128, HDL-32E.
 const FOCAL_POINTS_UM: [i32; 4] = [41_910, 42_400, 58_630, 28_956];
 
-/// Fits a scanner to a sample of a sequence's scans: to the one with the most returns and, as long as that helps, to
-/// another that the scanner explains less well, which may show other lasers. Returns also the share of the points that it
-/// explains; `None` if no scanner of this family explains enough of them.
+/// Fits a scanner to a sample of a sequence's scans: to the one with the most returns and, as long as that
+/// helps, to another that the scanner explains less well, which may show other lasers. Returns also the share
+/// of the points that it explains; `None` if no scanner of this family explains enough of them.
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     fit_by(sample, |cloud| {
         fit_points(cloud, cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None)))
@@ -78,8 +79,8 @@ pub(super) fn fit_by(
     Some(found)
 }
 
-/// Two scans as one, as though the scanner had turned on. If files are in the order of `lines`, so is this one. `None` if
-/// they have different fields, or only returns, of which nothing tells how many are in a line.
+/// Two scans as one, as though the scanner had turned on. If files are in the order of `lines`, so is this
+/// one. `None` if they have different fields, or only returns, of which nothing tells how many are in a line.
 fn joined(one: &PointCloud, other: &PointCloud, lines: usize) -> Option<PointCloud> {
     let both = one.followed_by(other)?;
     if lines == 0 {
@@ -119,7 +120,8 @@ fn fit_points<'m>(
         points.iter().step_by(step).flat_map(|point| point.position.map(|value| value as f32)).collect();
     let coordinates = Coordinates::finest_of(&values);
     let blur = Blur::of(coordinates);
-    // Rounding leaves the farthest points clearest; nearer ones are used only if those do not show all lasers.
+    // Rounding leaves the farthest points clearest; nearer ones are used only if those do not show all
+    // lasers.
     let mut best: Option<Candidate> = None;
     for nearest in blur.nearest(&points) {
         let (numbers, points) = beyond(nearest, &numbers, &points);
@@ -193,9 +195,9 @@ impl ScanFacts<'_> {
         candidates.max_by(|a, b| a.worth.total_cmp(&b.worth))
     }
 
-    /// Among scanners that explain about as many points, the one with the fewest columns is best, because its firings
-    /// are whole. A timing with two firings per block must explain enough to be worth it. Points that were rounded may be
-    /// explained by a timing that is not theirs, but not as accurately.
+    /// Among scanners that explain about as many points, the one with the fewest columns is best, because its
+    /// firings are whole. A timing with two firings per block must explain enough to be worth it. Points that
+    /// were rounded may be explained by a timing that is not theirs, but not as accurately.
     fn candidate(&self, scanner: Firings) -> Candidate {
         let measured = self.measured.max(1) as f64;
         let projection = scanner.project(self.cloud, REACH);
@@ -307,8 +309,8 @@ impl ScanFacts<'_> {
         Some(Rows { elevations, of_points, places, grid })
     }
 
-    /// The order in which lasers fire, and the rows of the lines if points come line by line, given the row and the
-    /// tick of each point.
+    /// The order in which lasers fire, and the rows of the lines if points come line by line, given the row
+    /// and the tick of each point.
     fn order_and_lines(
         &self,
         mut sequence: Vec<(usize, u32)>,
@@ -326,8 +328,8 @@ impl ScanFacts<'_> {
         }
     }
 
-    /// The scanner and, if the lasers of a firing have different ticks, the same scanner with the timings that fit
-    /// best.
+    /// The scanner and, if the lasers of a firing have different ticks, the same scanner with the timings
+    /// that fit best.
     pub(super) fn with_timings(&self, scanner: Firings, is_steady: bool) -> Vec<Firings> {
         if is_steady {
             return vec![scanner];
@@ -354,7 +356,8 @@ struct Rows {
     grid: Option<RecordGrid>,
 }
 
-/// What determines the scanners whose beams all start in one point, but for the order in which their lasers fire.
+/// What determines the scanners whose beams all start in one point, but for the order in which their lasers
+/// fire.
 struct FromOnePoint<'f, 's> {
     found: &'f ScanFacts<'s>,
     constants: Constants<'f>,
@@ -390,8 +393,8 @@ impl FromOnePoint<'_, '_> {
         }
     }
 
-    /// The scanner whose lasers have these offsets and look ahead by these ticks, and whether each offset was corrected by
-    /// whole ticks of its own.
+    /// The scanner whose lasers have these offsets and look ahead by these ticks, and whether each offset was
+    /// corrected by whole ticks of its own.
     fn scanner(&mut self, order: &FiringOrder, offsets: &[f64], ahead: &[f64]) -> Option<(Firings, bool)> {
         let FromOnePoint { constants, build, determined, .. } = self;
         if determined.iter().all(|(known, _)| known != offsets) {
@@ -453,8 +456,9 @@ pub(super) fn phase(values: impl Iterator<Item = f64>) -> (f64, f64) {
 /// In radians: the largest distance of a laser's points from its cone, if coordinates are not rounded.
 pub(super) const ON_CONE: f64 = 1e-4;
 
-/// The elevations of the lasers, from the highest to the lowest: narrow clusters of the points' elevations. `None` if
-/// fewer than half of the points lie in clusters, or the number of clusters is not that of a scanner.
+/// The elevations of the lasers, from the highest to the lowest: narrow clusters of the points' elevations.
+/// `None` if fewer than half of the points lie in clusters, or the number of clusters is not that of a
+/// scanner.
 pub(super) fn elevations(points: &[Point], on_cone: f64) -> Option<Vec<f64>> {
     const FEWEST_LASERS: usize = 4;
     const MOST_LASERS: usize = 512;
@@ -480,8 +484,8 @@ pub(super) fn fewest_of(points: usize) -> usize {
     (points / 2000).max(8)
 }
 
-/// Given descending elevations: how many lie in narrow clusters of at least `fewest` each, at most `on_cone` radians from
-/// their middle, and the medians of the clusters.
+/// Given descending elevations: how many lie in narrow clusters of at least `fewest` each, at most `on_cone`
+/// radians from their middle, and the medians of the clusters.
 pub(super) fn narrow_heaps(elevations: &[f64], on_cone: f64, fewest: usize) -> (usize, Vec<f64>) {
     /// Radians between the clusters of two lasers, at least.
     const GAP: f64 = 6e-5;
@@ -527,10 +531,9 @@ impl GridShape {
 }
 
 impl RecordGrid {
-    /// Finds the grid of a file with this number of records; `places` has the record and the row of each return.
-    /// `None` if the file has no grid.
-    /// Without blanks, the number of records may be a multiple of the number of lines by chance: then nearly all
-    /// returns must be in their places.
+    /// Finds the grid of a file with this number of records; `places` has the record and the row of each
+    /// return. `None` if the file has no grid. Without blanks, the number of records may be a multiple of the
+    /// number of lines by chance: then nearly all returns must be in their places.
     fn find(places: &[(usize, usize)], records: usize, rows: usize, has_blanks: bool) -> Option<Self> {
         /// Largest number of lines per row with returns; the other lines belong to lasers without returns.
         const MOST_LINES: usize = 2;
@@ -543,7 +546,8 @@ impl RecordGrid {
         grids.map(shape).find_map(|shape| Self::of(places, rows, shape, least))
     }
 
-    /// The grid of this shape, if it puts at least the share `least` of the returns into the line of their row.
+    /// The grid of this shape, if it puts at least the share `least` of the returns into the line of their
+    /// row.
     fn of(places: &[(usize, usize)], rows: usize, shape: GridShape, least: f64) -> Option<Self> {
         let lines = shape.lines;
         let mut counts = vec![0u32; lines * rows];
@@ -609,8 +613,8 @@ impl RecordGrid {
     }
 }
 
-/// All elevations of a VLP-16, if the given ones are among them. It matters which lasers are missing, because the
-/// azimuth advances while they fire.
+/// All elevations of a VLP-16, if the given ones are among them. It matters which lasers are missing, because
+/// the azimuth advances while they fire.
 pub(super) fn completed(elevations: Vec<f64>) -> Vec<f64> {
     let mut all = VLP_16.map(|degrees| f64::from(degrees).to_radians());
     all.sort_unstable_by(|a, b| b.total_cmp(a));
@@ -648,8 +652,8 @@ fn phase_of_ticks(points: &[Point], ticks: u32, blur: Blur) -> (f64, f64) {
     }
 }
 
-/// The azimuth of a point in ticks, clockwise from x. If y is ahead, all azimuths differ by a quarter of a turn,
-/// which is a whole number of ticks.
+/// The azimuth of a point in ticks, clockwise from x. If y is ahead, all azimuths differ by a quarter of a
+/// turn, which is a whole number of ticks.
 pub(super) fn in_ticks(point: &Point, ticks: u32) -> f64 {
     let [x, y, _] = point.position;
     libm::atan2(-y, x) / TAU * f64::from(ticks)

@@ -1,7 +1,6 @@
-//! Cosine and sine in single precision as glibc has computed them since 2.28: for about 1 % of all angles, not the
-//! nearest float32. The polynomials and the argument reduction are those of its `sincosf`, for angles below 120
-//! radians.
-//! FORMAT.md 3.5.
+//! Cosine and sine in single precision as glibc has computed them since 2.28: for about 1 % of all angles,
+//! not the nearest float32. The polynomials and the argument reduction are those of its `sincosf`, for angles
+//! below 120 radians. FORMAT.md 3.5.
 
 /// Coefficients of the sine, from x^3 on, and of the cosine, from x^2 on.
 const SINE: [f64; 3] = [
@@ -22,8 +21,8 @@ const QUARTER: f64 = f64::from_bits(0x3ff9_21fb_5444_2d18);
 const EIGHTH: f32 = f32::from_bits(0x3f49_0fdb);
 const TINY: f32 = f32::from_bits(0x3980_0000);
 
-/// Cosine and sine as glibc computed them before 2.28: the nearest float32, but two terms of the series for small
-/// angles.
+/// Cosine and sine as glibc computed them before 2.28: the nearest float32, but two terms of the series for
+/// small angles.
 pub fn old_cos_sin(angle: f32) -> [f32; 2] {
     /// In radians.
     const SMALL: f64 = 1.0 / 32.0;

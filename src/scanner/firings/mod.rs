@@ -1,9 +1,9 @@
 //! Scanners whose files hold firing after firing: Velodyne's VLP and HDL-32E, Hesai's, Ouster's by columns.
 //! FORMAT.md 3.3.
 //!
-//! A firing is one column of the range image: one shot of each laser, in a fixed order (the *slots*), at one azimuth
-//! tick or at ticks that advance from slot to slot. If all beams start in one point, then for a laser with elevation E and
-//! azimuth offset O, a range of `n` steps and an azimuth of `t` ticks:
+//! A firing is one column of the range image: one shot of each laser, in a fixed order (the *slots*), at one
+//! azimuth tick or at ticks that advance from slot to slot. If all beams start in one point, then for a laser
+//! with elevation E and azimuth offset O, a range of `n` steps and an azimuth of `t` ticks:
 //!
 //! ```text
 //! d = n * range_step
@@ -11,8 +11,9 @@
 //! x, y, z = d * cos E * cos A, -d * cos E * sin A, d * sin E      or with the axes of another program
 //! ```
 //!
-//! The [`Recipe`] of the program that wrote the file defines in which precision and in which order this was computed.
-//! The beams of some scanners start away from the axis ([`Origin`]), most in the direction of the tick, not of the beam.
+//! The [`Recipe`] of the program that wrote the file defines in which precision and in which order this was
+//! computed. The beams of some scanners start away from the axis ([`Origin`]), most in the direction of the
+//! tick, not of the beam.
 
 mod blocks;
 mod blur;
@@ -167,8 +168,8 @@ impl PartialEq for Firings {
 }
 
 impl Firings {
-    /// A scanner with these lasers, from the highest to the lowest, which fire in this order: `rows_of_slots` must be
-    /// a permutation of the rows.
+    /// A scanner with these lasers, from the highest to the lowest, which fire in this order: `rows_of_slots`
+    /// must be a permutation of the rows.
     pub fn new(build: Build, lasers: Vec<Laser>, rows_of_slots: Vec<u32>) -> Self {
         let mut slots_of_rows = vec![0; lasers.len()];
         (0u32..).zip(&rows_of_slots).for_each(|(slot, &row)| slots_of_rows[row as usize] = slot);
@@ -197,15 +198,16 @@ impl Firings {
         Firings::new(build, Vec::new(), Vec::new())
     }
 
-    /// This scanner for files that hold row after row, in this order: `rows_of_lines` must be a permutation of
-    /// the rows, or empty for files that hold firing after firing.
+    /// This scanner for files that hold row after row, in this order: `rows_of_lines` must be a permutation
+    /// of the rows, or empty for files that hold firing after firing.
     pub fn line_by_line(self, rows_of_lines: Vec<u32>) -> Self {
         Firings { rows_of_lines, ..self }
     }
 
-    /// This scanner with rows that lag behind their columns by these ticks: columns then hold points that were
-    /// not fired together, as in Ouster's destaggered clouds, or the lasers look that far back and the program adds
-    /// this to the tick. `lags` must have one element per row, all less than a turn, or be empty.
+    /// This scanner with rows that lag behind their columns by these ticks: columns then hold points that
+    /// were not fired together, as in Ouster's destaggered clouds, or the lasers look that far back and the
+    /// program adds this to the tick. `lags` must have one element per row, all less than a turn, or be
+    /// empty.
     pub fn lagging(self, lags: Vec<u32>) -> Self {
         Firings { lags, ..self }
     }
@@ -259,8 +261,8 @@ impl Firings {
         self.lasers.iter().map(|laser| laser.elevation_degrees().to_radians())
     }
 
-    /// An HDL-64E-like scanner that sees a range image as this one does, except for the direction of rotation and
-    /// the origin of the beams: for pictures and regions, not for positions.
+    /// An HDL-64E-like scanner that sees a range image as this one does, except for the direction of rotation
+    /// and the origin of the beams: for pictures and regions, not for positions.
     pub fn likeness(&self) -> Hdl64 {
         let beam = |laser: &Laser| {
             let offset = laser.azimuth_degrees().to_radians();
@@ -319,8 +321,8 @@ impl Firings {
         self.lags.get(row).copied().unwrap_or(0)
     }
 
-    /// The measurement of this laser that is nearest to a position in metres, in steps and ticks; `None` if there
-    /// is no such range.
+    /// The measurement of this laser that is nearest to a position in metres, in steps and ticks; `None` if
+    /// there is no such range.
     fn locate(&self, row: usize, position: [f64; 3]) -> Option<(u32, u32)> {
         let Measurements { steps: [steps], tick: [tick], .. } =
             self.locate_all(&[row], &position.map(|v| [v]));
@@ -367,8 +369,8 @@ impl Firings {
         }
     }
 
-    /// Approximately the positions, in metres, that the formula gives to located measurements: to within a small
-    /// fraction of a range step.
+    /// Approximately the positions, in metres, that the formula gives to located measurements: to within a
+    /// small fraction of a range step.
     #[inline(always)]
     fn near_all<const N: usize>(
         &self,
@@ -393,8 +395,8 @@ impl Firings {
         ]
     }
 
-    /// The returns of an image, each followed by its echoes, and the blanks of a full one, in the order of a file:
-    /// firing by firing and slot by slot, or line by line.
+    /// The returns of an image, each followed by its echoes, and the blanks of a full one, in the order of a
+    /// file: firing by firing and slot by slot, or line by line.
     pub fn file_order(&self, image: &RangeImage) -> Vec<Return> {
         let width = image.columns.len();
         let mut returns = Vec::with_capacity(image.records());
@@ -457,8 +459,8 @@ impl Firings {
         lanes(|i| positions[i].map(or_zero))
     }
 
-    /// The position of a return in metres, as accurately as the recipe computes it, `offset_m` metres beyond the
-    /// range of its steps.
+    /// The position of a return in metres, as accurately as the recipe computes it, `offset_m` metres beyond
+    /// the range of its steps.
     pub fn position(&self, found: &Return, offset_m: f64) -> [f64; 3] {
         let measured = if offset_m == 0.0 {
             self.measured_position(found)
@@ -483,7 +485,8 @@ impl Firings {
         }
     }
 
-    /// The position of a return in the frame of the scanner, in metres, in the precision in which it is computed.
+    /// The position of a return in the frame of the scanner, in metres, in the precision in which it is
+    /// computed.
     fn unrounded(&self, found: &Return) -> [f64; 3] {
         let arithmetic = &self.arithmetic[found.row as usize];
         arithmetic.unrounded(&self.turn, found.tick, found.steps, self.build.range_step_um)
@@ -560,8 +563,8 @@ fn or_zero(metres: f32) -> f32 {
     if metres.is_nan() { 0.0 } else { metres }
 }
 
-/// The computation of positions in the frame of the scanner, as a type so that it can be compiled for several vector
-/// units.
+/// The computation of positions in the frame of the scanner, as a type so that it can be compiled for several
+/// vector units.
 struct Filling<'a> {
     scanner: &'a Firings,
     returns: &'a [Return],

@@ -1,5 +1,5 @@
-//! Finds scanners whose beams start away from the axis, where their manufacturer's driver says: RoboSense's and
-//! LSLiDAR's.
+//! Finds scanners whose beams start away from the axis, where their manufacturer's driver says: RoboSense's
+//! and LSLiDAR's.
 
 use std::f64::consts::TAU;
 
@@ -64,8 +64,8 @@ impl Maker {
         if self.recipe == Recipe::RoboSense { 0.0025 } else { 0.002 }
     }
 
-    /// The distance from the axis at which a beam's line crosses the height of its start, if its azimuth offset is
-    /// small.
+    /// The distance from the axis at which a beam's line crosses the height of its start, if its azimuth
+    /// offset is small.
     fn along(&self) -> f64 {
         let turned = f64::from(self.offset.unwrap_or(0)) * 0.01;
         self.origin.metres()[0] * libm::cos(turned.to_radians())
@@ -73,8 +73,8 @@ impl Maker {
 }
 
 impl ScanFacts<'_> {
-    /// Scanners whose beams start away from the axis and that may have measured the scan: those of the manufacturer
-    /// whose scanner reproduces the most points.
+    /// Scanners whose beams start away from the axis and that may have measured the scan: those of the
+    /// manufacturer whose scanner reproduces the most points.
     pub(super) fn off_axis(&self) -> Option<Vec<Firings>> {
         /// Number of points by which the manufacturer is determined.
         const SAMPLED: usize = 6000;
@@ -245,8 +245,8 @@ impl ScanFacts<'_> {
 }
 
 impl Maker {
-    /// The horizontal distance of a point from the start of its beam, in metres, and the azimuth of the beam, in
-    /// radians, if the beam is turned by `offset` hundredths of degrees from the direction of its start.
+    /// The horizontal distance of a point from the start of its beam, in metres, and the azimuth of the beam,
+    /// in radians, if the beam is turned by `offset` hundredths of degrees from the direction of its start.
     fn undo(&self, point: &Point, offset: i32) -> (f64, f64) {
         let [x, y, _] = point.position;
         let turned = (f64::from(offset) * 0.01).to_radians();
@@ -264,10 +264,12 @@ const HUNDREDTH: i64 = (0.01 / ANGLE_UNIT) as i64;
 /// Ticks of a radian.
 const IN_TICKS: f64 = OFF_AXIS_TICKS as f64 / TAU;
 
-/// Lasers, best first, for which the azimuths of the points lie on whole ticks and their ranges on whole steps.
+/// Lasers, best first, for which the azimuths of the points lie on whole ticks and their ranges on whole
+/// steps.
 fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
     const MOST: usize = 120;
-    /// Number of points on which all offsets are tried, and the largest number of offsets that are examined further.
+    /// Number of points on which all offsets are tried, and the largest number of offsets that are examined
+    /// further.
     const FEW: usize = 24;
     const MOST_OFFSETS: usize = 600;
     /// Number of lasers that are returned.
@@ -293,7 +295,8 @@ fn lasers_off_axis(maker: &Maker, points: &[Point]) -> Vec<Laser> {
 }
 
 impl Maker {
-    /// The laser with an offset, in hundredths of degrees, and the coherence of its points with ticks and range steps.
+    /// The laser with an offset, in hundredths of degrees, and the coherence of its points with ticks and
+    /// range steps.
     fn laser(&self, points: &[&Point], offset: i32) -> (f64, Laser) {
         /// Minimum coherence with ticks.
         const COHERENT: f64 = 0.5;
@@ -319,8 +322,8 @@ impl Maker {
         (of_ticks + strength(ranges, 0.0), laser)
     }
 
-    /// The offsets, in hundredths of degrees, with which the azimuths of points lie on ticks. Azimuths alone exclude most
-    /// offsets, and quickly.
+    /// The offsets, in hundredths of degrees, with which the azimuths of points lie on ticks. Azimuths alone
+    /// exclude most offsets, and quickly.
     fn coherent_offsets(&self, points: &[&Point]) -> Vec<i32> {
         /// The coherence above which an offset is returned.
         const COHERENT: f64 = 0.8;
@@ -381,8 +384,8 @@ fn sharpened(bare: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
     best_of(bare, std::iter::once(best.1).chain(beside), &more, best.1).0
 }
 
-/// The distance from the axis and the height at which the lines of the lasers cross, in metres; `None` if there are
-/// too few lines.
+/// The distance from the axis and the height at which the lines of the lasers cross, in metres; `None` if
+/// there are too few lines.
 fn line_start(rows: &[Vec<Point>]) -> Option<[f64; 2]> {
     /// Steeper lines are ignored.
     const STEEPEST: f64 = 2.0;
@@ -394,8 +397,8 @@ fn line_start(rows: &[Vec<Point>]) -> Option<[f64; 2]> {
     steady_line(&lines)
 }
 
-/// The line on which the points of a beam lie: its slope, and its height at the axis in metres. `None` if there are
-/// too few points.
+/// The line on which the points of a beam lie: its slope, and its height at the axis in metres. `None` if
+/// there are too few points.
 pub(super) fn beam_line(points: &[Point]) -> Option<[f64; 2]> {
     const FEWEST: usize = 12;
     /// A sufficient number of points.

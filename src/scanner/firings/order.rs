@@ -16,8 +16,8 @@ pub(super) struct FiringOrder {
     pub rows_of_slots: Vec<u32>,
     /// Other slots of this order at which a firing may begin, if the azimuth advances while its lasers fire.
     pub other_starts: Vec<usize>,
-    /// The whole ticks by which each row is ahead. If `timing` is not that of the scanner, they include the ticks
-    /// that pass while its lasers fire, or are all 0.
+    /// The whole ticks by which each row is ahead. If `timing` is not that of the scanner, they include the
+    /// ticks that pass while its lasers fire, or are all 0.
     pub shifts: Vec<f64>,
     pub timing: Timing,
     /// Whether `timing` is that of the scanner.
@@ -25,8 +25,8 @@ pub(super) struct FiringOrder {
 }
 
 impl FiringOrder {
-    /// The order of lasers if the file holds row after row and so does not show in which order they fire: only how
-    /// far they look ahead of one another.
+    /// The order of lasers if the file holds row after row and so does not show in which order they fire:
+    /// only how far they look ahead of one another.
     pub fn of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Self {
         FiringOrder {
             rows_of_slots: (0..rows as u32).collect(),
@@ -38,12 +38,14 @@ impl FiringOrder {
     }
 }
 
-/// The whole ticks by which each row is ahead of the one with the most returns: the shift for which most of its ticks
-/// are also ticks of that row, as a scanner does not turn evenly. 0 if no other shift is clearly better.
+/// The whole ticks by which each row is ahead of the one with the most returns: the shift for which most of
+/// its ticks are also ticks of that row, as a scanner does not turn evenly. 0 if no other shift is clearly
+/// better.
 fn shifts_of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Vec<f64> {
     /// Largest difference between the directions of two lasers, in degrees.
     const FARTHEST: f64 = 15.0;
-    /// A sufficient number of ticks of a row, and the factor by which more of them must agree than without a shift.
+    /// A sufficient number of ticks of a row, and the factor by which more of them must agree than without a
+    /// shift.
     const SAMPLE: usize = 400;
     const CLEARLY: f64 = 1.3;
     let mut of_rows: Vec<Vec<u32>> = vec![Vec::new(); rows];
@@ -77,8 +79,8 @@ fn shifts_of_lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Vec<f6
     of_rows.iter().map(shift).collect()
 }
 
-/// Determines the order of the lasers from rows and ticks in file order; each tick may be wrong by `slack`. `None` if the
-/// file is not in the order of firings.
+/// Determines the order of the lasers from rows and ticks in file order; each tick may be wrong by `slack`.
+/// `None` if the file is not in the order of firings.
 pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32, slack: u32) -> Option<FiringOrder> {
     /// Pairs of lasers with fewer steps are ignored.
     const FEWEST: usize = 8;
@@ -113,8 +115,8 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32, slack: u
     let is_steady = same as f64 >= STEADY * all.saturating_sub(ends) as f64;
     let of_next: Vec<&[i64]> = (0..rows).map(|slot| &steps[next(slot)][..]).collect();
     let (last, has_shifts) = if is_steady {
-        // One azimuth per firing. Its end is where the steps differ most or, if the scanner turns by the same angle
-        // from firing to firing, where the order jumps from one end of the rows to the other.
+        // One azimuth per firing. Its end is where the steps differ most or, if the scanner turns by the same
+        // angle from firing to firing, where the order jumps from one end of the rows to the other.
         let seen = (0..rows).filter(|&slot| of_next[slot].len() >= FEWEST);
         let worst = seen.min_by(|&a, &b| share(a).total_cmp(&share(b))).unwrap_or(0);
         let jump = |slot: &usize| order[*slot].abs_diff(order[(*slot + 1) % rows]);
@@ -152,8 +154,8 @@ fn densest(steps: &[i64], aside: i64) -> (i64, usize) {
     best
 }
 
-/// The rows in the order of a file that holds one row after another, each from one end to the other. `None` if the
-/// file is not in such an order.
+/// The rows in the order of a file that holds one row after another, each from one end to the other. `None`
+/// if the file is not in such an order.
 pub(super) fn lines(sequence: &[(usize, u32)], rows: usize, ticks: u32) -> Option<Vec<u32>> {
     /// At most one place in this number may be out of order.
     const RARE: usize = 50;
@@ -189,8 +191,9 @@ fn alike(steps: &[i64]) -> f64 {
     pairs.max().unwrap_or(0) as f64 / steps.len().max(1) as f64
 }
 
-/// The last slot of a firing whose azimuth advances while its lasers fire, given the steps from each slot to the
-/// next, in ascending order; and whether the directions of its lasers differ by more than the azimuth advances.
+/// The last slot of a firing whose azimuth advances while its lasers fire, given the steps from each slot to
+/// the next, in ascending order; and whether the directions of its lasers differ by more than the azimuth
+/// advances.
 fn last_of_firing(steps: &[&[i64]]) -> Option<(usize, bool)> {
     let mean = |slot: &usize| steps[*slot].iter().sum::<i64>() as f64 / steps[*slot].len().max(1) as f64;
     let by_length = |a: &usize, b: &usize| mean(a).abs().total_cmp(&mean(b).abs());
@@ -208,8 +211,8 @@ fn last_of_firing(steps: &[&[i64]]) -> Option<(usize, bool)> {
     last.map(|last| (last, true))
 }
 
-/// The whole ticks by which each slot of a firing is ahead of the first. `step` returns the most frequent step from a
-/// slot to a later one, and its count; the shifts follow the steps with the highest counts.
+/// The whole ticks by which each slot of a firing is ahead of the first. `step` returns the most frequent
+/// step from a slot to a later one, and its count; the shifts follow the steps with the highest counts.
 fn shifts_of_slots(rows: usize, step: impl Fn(usize, usize) -> (i64, usize)) -> Vec<i64> {
     let mut shifts = vec![0; rows];
     // For each slot: the count of the best step from a known slot, and the shift that results.
@@ -248,8 +251,8 @@ pub(super) fn vlp_16(elevations: &[f64]) -> Option<FiringOrder> {
     rows_of_slots.filter(|_| is_all).map(order)
 }
 
-/// The rows in the order in which they follow one another cyclically, starting anywhere. `None` if most points are of
-/// the same row as the point before.
+/// The rows in the order in which they follow one another cyclically, starting anywhere. `None` if most
+/// points are of the same row as the point before.
 fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
     /// A sufficient number of rounds.
     const ROUNDS: usize = 500;
@@ -277,8 +280,8 @@ fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
     let count = |is: &dyn Fn(usize) -> bool| (0..rows).filter(|&other| is(other)).count();
     let later: Vec<usize> = (0..rows).map(|row| count(&|other| precedes(row, other))).collect();
     let mut earlier: Vec<usize> = (0..rows).map(|row| count(&|other| precedes(other, row))).collect();
-    // Next is the row with the fewest remaining rows before it and the most rows after it: lasers that take turns
-    // are never seen together.
+    // Next is the row with the fewest remaining rows before it and the most rows after it: lasers that take
+    // turns are never seen together.
     let mut order = Vec::with_capacity(rows);
     let mut rest: Vec<usize> = (0..rows).collect();
     let mut next = first;
@@ -291,8 +294,9 @@ fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
     Some(order)
 }
 
-/// The same scanner with a timing of `firings` firings per block, with parts estimated from the points; `None` if
-/// they are too few. If rows lag, `firings` must be 1, and the lags are estimated together with the timing.
+/// The same scanner with a timing of `firings` firings per block, with parts estimated from the points;
+/// `None` if they are too few. If rows lag, `firings` must be 1, and the lags are estimated together with the
+/// timing.
 pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Option<Firings> {
     /// Largest number of rounds until neither parts nor lags change.
     const ROUNDS: usize = 8;
@@ -335,8 +339,8 @@ pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Opti
     Some(with_parts(scanner, &parts))
 }
 
-/// For each slot, the ticks since the first slot, in columns that no span explains: perhaps the program did not
-/// interpolate azimuths there.
+/// For each slot, the ticks since the first slot, in columns that no span explains: perhaps the program did
+/// not interpolate azimuths there.
 fn without_span(scanner: &Firings, columns: &[Column], places: &[Place]) -> Vec<Vec<i64>> {
     let mut still = vec![Vec::new(); scanner.rows()];
     for column in columns {
@@ -353,10 +357,10 @@ fn without_span(scanner: &Firings, columns: &[Column], places: &[Place]) -> Vec<
     still
 }
 
-/// The scanner with the lag of each row, near the present one, and the part of a block that explain the most ticks:
-/// where blocks differ, a laser that looks back by some ticks can be distinguished from one that fires later. `seen`
-/// has the ticks to the next block and those since this one began, for each slot; `still`, those since this one began
-/// if there are none to the next.
+/// The scanner with the lag of each row, near the present one, and the part of a block that explain the most
+/// ticks: where blocks differ, a laser that looks back by some ticks can be distinguished from one that fires
+/// later. `seen` has the ticks to the next block and those since this one began, for each slot; `still`,
+/// those since this one began if there are none to the next.
 fn relagged(
     scanner: Firings,
     parts: &mut [f64],
@@ -391,8 +395,8 @@ fn relagged(
     scanner.lagging(lags)
 }
 
-/// The part of a block, or of up to `most` blocks, that explains the most ticks, and how many. Each element of `seen`
-/// has the ticks to the next block and those since this one began.
+/// The part of a block, or of up to `most` blocks, that explains the most ticks, and how many. Each element
+/// of `seen` has the ticks to the next block and those since this one began.
 fn part_of(mut seen: Vec<(u32, i64)>, most: i64) -> Option<(f64, usize)> {
     seen.retain(|(span, ticks)| (0..most * i64::from(*span)).contains(ticks));
     seen.sort_unstable();

@@ -15,12 +15,13 @@ use crate::ground::rounding::round_ties_even;
 /// Widths of Ouster's images, which equal the ticks per turn.
 const WIDTHS: [u32; 4] = [512, 1024, 2048, 4096];
 
-/// Distances from the axis at which the beams of Ouster's scanners start, in metres, and their heights in the frame
-/// of the scanner's case or of its lens. Individual scanners differ by some hundredths of a millimetre.
+/// Distances from the axis at which the beams of Ouster's scanners start, in metres, and their heights in the
+/// frame of the scanner's case or of its lens. Individual scanners differ by some hundredths of a millimetre.
 const OUSTER_ALONG: [f64; 6] = [0.027_67, 0.027_116, 0.015_806, 0.016_721, 0.012_163, 0.013_762];
 const OUSTER_UP: [f64; 5] = [0.036_18, 0.038_195, 0.074_296, 0.078_296, 0.0];
 
-/// The points of each laser with their record numbers, and the lines of the file if it holds a record for each cell.
+/// The points of each laser with their record numbers, and the lines of the file if it holds a record for
+/// each cell.
 struct Rows<'m> {
     points: Vec<Vec<Point<'m>>>,
     records: Vec<Vec<usize>>,
@@ -28,9 +29,9 @@ struct Rows<'m> {
 }
 
 impl ScanFacts<'_> {
-    /// An Ouster whose beams start away from the axis: for a range r, elevation E, azimuth offset O and a beam that
-    /// starts at a distance n from the axis, `rho^2 = ((r - n) cos E)^2 + 2 (r - n) cos E n cos O + n^2` and
-    /// `z = (r - n) sin E + up`. In the first of these, early drivers have -n in place of n.
+    /// An Ouster whose beams start away from the axis: for a range r, elevation E, azimuth offset O and a
+    /// beam that starts at a distance n from the axis, `rho^2 = ((r - n) cos E)^2 + 2 (r - n) cos E n cos O +
+    /// n^2` and `z = (r - n) sin E + up`. In the first of these, early drivers have -n in place of n.
     pub(super) fn ouster(&self) -> Option<Firings> {
         /// The range step of the low data rate profile, and that of all others.
         const RANGE_STEPS_UM: [u32; 2] = [8000, 1000];
@@ -63,7 +64,8 @@ impl ScanFacts<'_> {
         })
     }
 
-    /// The scanner of this build with the lasers found for it, and how many of a sample of points it reproduces.
+    /// The scanner of this build with the lasers found for it, and how many of a sample of points it
+    /// reproduces.
     fn ouster_of(&self, build: &Build, rows: &Rows, lines: &[Option<[f64; 2]>]) -> Option<(Firings, usize)> {
         let build = &Build { origin: sharpened_origin(build, &rows.points, lines), ..build.clone() };
         let bare = Firings::without_lasers(build.clone());
@@ -95,8 +97,8 @@ impl ScanFacts<'_> {
         Some((scanner, exact))
     }
 
-    /// An Ouster with the order of a file that holds only returns: column by column, staggered or not, or row by
-    /// row. `None` if the file is in neither order.
+    /// An Ouster with the order of a file that holds only returns: column by column, staggered or not, or row
+    /// by row. `None` if the file is in neither order.
     fn in_order_of_returns(&self, scanner: Firings) -> Option<Firings> {
         let (sequence, ticks) = (self.sequence(&scanner), scanner.build.ticks);
         let within_turn = |ahead: f64| (-ahead as i64).rem_euclid(i64::from(ticks)) as u32;
@@ -160,11 +162,12 @@ impl ScanFacts<'_> {
         })
     }
 
-    /// The points of each laser of an Ouster: narrow clusters of elevations as seen from where its beams start.
-    /// `None` if no known start gives clusters with enough of the points.
+    /// The points of each laser of an Ouster: narrow clusters of elevations as seen from where its beams
+    /// start. `None` if no known start gives clusters with enough of the points.
     fn rows_by_start(&self) -> Option<Vec<Vec<Point<'_>>>> {
-        /// In metres: the nearer a point is, the more its elevation also depends on the azimuth of the laser. Points
-        /// beyond these distances are examined one after the other, the first at least as many as `FEWEST`.
+        /// In metres: the nearer a point is, the more its elevation also depends on the azimuth of the laser.
+        /// Points beyond these distances are examined one after the other, the first at least as many as
+        /// `FEWEST`.
         const BEYOND: [f64; 4] = [4.0, 2.0, 1.0, 0.5];
         const FEWEST: usize = 1000;
         const SAMPLED: usize = 10_000;
@@ -214,8 +217,8 @@ impl ScanFacts<'_> {
 }
 
 impl Rows<'_> {
-    /// A scanner with the order of a file that holds an image; `lines` has the line of each row. The direction of a
-    /// laser in a column gives the lag of its row.
+    /// A scanner with the order of a file that holds an image; `lines` has the line of each row. The
+    /// direction of a laser in a column gives the lag of its row.
     fn in_order_of_image(&self, scanner: Firings, grid: &RecordGrid, lines: &[usize]) -> Firings {
         let ticks = scanner.build.ticks;
         let lag = |(row, &line): (usize, &usize)| {
@@ -248,7 +251,8 @@ fn far_half<'m>(points: &[Point<'m>]) -> Vec<Point<'m>> {
     sorted
 }
 
-/// Whether the azimuths of most rows lie on multiples of 1/`ticks` of a turn, each row with a phase of its own.
+/// Whether the azimuths of most rows lie on multiples of 1/`ticks` of a turn, each row with a phase of its
+/// own.
 fn ticks_are_coherent(rows: &[Vec<Point>], ticks: u32) -> bool {
     const COHERENT: f64 = 0.8;
     let of_row = |points: &Vec<Point>| {
@@ -278,8 +282,8 @@ fn origin_of_lines(lines: &[Option<[f64; 2]>], recipe: Recipe) -> Option<Origin>
     Some(Origin { along_um, up_um })
 }
 
-/// The origin of the beams, from the lines of the beams and the phases of their ranges: `z / sin E` is a whole number
-/// of steps, less n, plus `up / sin E`.
+/// The origin of the beams, from the lines of the beams and the phases of their ranges: `z / sin E` is a
+/// whole number of steps, less n, plus `up / sin E`.
 fn origin_of_phases(
     rows: &[Vec<Point>],
     lines: &[Option<[f64; 2]>],
@@ -288,8 +292,8 @@ fn origin_of_phases(
 ) -> Option<Origin> {
     /// The heights of less steep beams do not determine their ranges.
     const STEEP: f64 = 0.15;
-    /// In micrometres: the largest errors of the lines, as azimuth offsets make beams seem to start farther back. Phases
-    /// determine where up to whole steps.
+    /// In micrometres: the largest errors of the lines, as azimuth offsets make beams seem to start farther
+    /// back. Phases determine where up to whole steps.
     const ALONG: std::ops::Range<i32> = -250..750;
     const UP: std::ops::Range<i32> = -60..60;
     /// The first search takes every n-th of these, the second one the neighbours of the best.

@@ -61,8 +61,8 @@ impl<'f> Sight<'f> {
         self.elevations.len()
     }
 
-    /// The return that is nearest to a position in the file, in metres, not yet in a column, and its position there by
-    /// the recipe. `None` if there is no such range.
+    /// The return that is nearest to a position in the file, in metres, not yet in a column, and its position
+    /// there by the recipe. `None` if there is no such range.
     pub fn nearest(&self, metres: [f64; 3]) -> Option<(Return, [f64; 3])> {
         let measured = self.scanner.in_frame(metres);
         let ([row], located) = self.find(&measured.map(|value| [value]));
@@ -78,8 +78,8 @@ impl<'f> Sight<'f> {
         let ahead: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt() - self.along);
         let above: [f64; N] = lanes(|i| z[i] - self.up);
         let slope: [f64; N] = lanes(|i| above[i] / ahead[i]);
-        // All borders are counted: for several points at once, that is faster than halving them for one point after
-        // the other.
+        // All borders are counted: for several points at once, that is faster than halving them for one point
+        // after the other.
         let mut rows = [0; N];
         for border in &self.borders {
             for i in 0..N {
@@ -166,8 +166,8 @@ pub(super) struct Column {
 }
 
 impl Firings {
-    /// Whether the recipe reproduces nearly all points of a sample to the last bit: then they have not been moved
-    /// since they were measured.
+    /// Whether the recipe reproduces nearly all points of a sample to the last bit: then they have not been
+    /// moved since they were measured.
     pub fn reproduces_most(&self, positions: &[[f32; 3]]) -> bool {
         const LEAST: f64 = 0.9;
         self.reproduced_share(positions) > LEAST
@@ -196,8 +196,8 @@ impl Firings {
         if all == 0 && blur.is_any() { 1.0 } else { f64::from(exact) / f64::from(all.max(1)) }
     }
 
-    /// Projects a scan into a range image. Points that the recipe misses by more than `reach` metres along an axis,
-    /// that are out of the order of the firings, or that have no return become strays.
+    /// Projects a scan into a range image. Points that the recipe misses by more than `reach` metres along an
+    /// axis, that are out of the order of the firings, or that have no return become strays.
     pub fn project(&self, cloud: &PointCloud, reach: f64) -> Projection {
         let places = self.places(&cloud.positions, reach + 0.5 * self.range_step_m());
         if let Some(width) = self.full_width(&places, &cloud.positions) {
@@ -264,7 +264,8 @@ impl Firings {
         Projection { image, point_of_cell, point_of_echo, strays }
     }
 
-    /// How many points the recipe reproduces to the last bit, and how many it explains, of those whose ticks are certain.
+    /// How many points the recipe reproduces to the last bit, and how many it explains, of those whose ticks
+    /// are certain.
     pub(super) fn reproduced(&self, positions: &[[f32; 3]]) -> (usize, usize) {
         let places = self.places(positions, REACH + 0.5 * self.range_step_m());
         let is_reproduced = |place: &&Place| {
@@ -298,9 +299,9 @@ impl Firings {
         }
     }
 
-    /// The number of columns if every cell of the image is a record: then the row of a return follows from its
-    /// record number. Without a blank, the number of records may be a multiple of the number of rows by chance, so
-    /// all returns must be in their places.
+    /// The number of columns if every cell of the image is a record: then the row of a return follows from
+    /// its record number. Without a blank, the number of records may be a multiple of the number of rows by
+    /// chance, so all returns must be in their places.
     fn full_width(&self, places: &[Place], positions: &[[f32; 3]]) -> Option<usize> {
         /// The minimum share of the returns in their places.
         const LEAST: f64 = 0.9;
@@ -317,7 +318,8 @@ impl Firings {
         (is_whole && !places.is_empty() && is_full()).then_some(width)
     }
 
-    /// Projects a scan in which every cell is a record. Records that the recipe does not explain become blanks.
+    /// Projects a scan in which every cell is a record. Records that the recipe does not explain become
+    /// blanks.
     fn project_full(
         &self,
         mut places: Vec<Place>,
@@ -430,9 +432,9 @@ impl Firings {
         columns
     }
 
-    /// Splits places into columns if the file holds row after row: those with the same tick are one column or, if
-    /// the azimuth advances while lasers fire, those whose firings began at about the same tick. Returns the places
-    /// column by column.
+    /// Splits places into columns if the file holds row after row: those with the same tick are one column
+    /// or, if the azimuth advances while lasers fire, those whose firings began at about the same tick.
+    /// Returns the places column by column.
     fn columns_of_lines(
         &self,
         places: Vec<Place>,
@@ -479,8 +481,8 @@ impl Firings {
         (places, echoes, columns)
     }
 
-    /// For the places of rows that follow one another, the ticks since the scan began, which may exceed a turn; and
-    /// the usual number of ticks from firing to firing.
+    /// For the places of rows that follow one another, the ticks since the scan began, which may exceed a
+    /// turn; and the usual number of ticks from firing to firing.
     fn unrolled(&self, places: &[Place]) -> (Vec<i64>, i64) {
         /// A step of more than this fraction of a turn is a step back.
         const BACK: f64 = 0.98;
@@ -534,8 +536,8 @@ impl Firings {
     }
 }
 
-/// Places without those that repeat the row and the tick of the place before: these are its echoes, each returned
-/// with the index of that place among the remaining ones.
+/// Places without those that repeat the row and the tick of the place before: these are its echoes, each
+/// returned with the index of that place among the remaining ones.
 pub(super) fn without_echoes(places: Vec<Place>) -> (Vec<Place>, Vec<(usize, Place)>) {
     // Most scans have none.
     if places.windows(2).all(|pair| (pair[0].row, pair[0].tick) != (pair[1].row, pair[1].tick)) {

@@ -9,13 +9,13 @@ use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
 use crate::ground::rounding::round_ties_even;
 
-/// A program that writes scans. A new one needs a number here, its description, and its arithmetic below; the fit
-/// tries them all.
+/// A program that writes scans. A new one needs a number here, its description, and its arithmetic below; the
+/// fit tries them all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Recipe {
-    /// ROS `velodyne_pointcloud`: single precision throughout, tables of cosine and sine, x ahead, y to the left,
-    /// azimuth clockwise.
+    /// ROS `velodyne_pointcloud`: single precision throughout, tables of cosine and sine, x ahead, y to the
+    /// left, azimuth clockwise.
     VelodyneRos = 0,
     /// Double precision, rounded once; y ahead, azimuth clockwise: PCL's grabber, VeloView, Hesai's driver.
     DoubleYAhead = 1,
@@ -23,24 +23,24 @@ pub enum Recipe {
     DoubleXAhead = 2,
     /// As `DoubleXAhead`, with ranges in single precision: Ouster.
     SingleRangeXAhead = 3,
-    /// RoboSense's `rs_driver`: single precision throughout, tables of hundredths of degrees, x ahead, azimuth
-    /// clockwise, and beams that start away from the axis.
+    /// RoboSense's `rs_driver`: single precision throughout, tables of hundredths of degrees, x ahead,
+    /// azimuth clockwise, and beams that start away from the axis.
     RoboSense = 4,
-    /// LSLiDAR's driver: double precision, rounded once, with 0.017453293 radians per degree; y ahead, azimuth
-    /// clockwise, and beams that start away from the axis.
+    /// LSLiDAR's driver: double precision, rounded once, with 0.017453293 radians per degree; y ahead,
+    /// azimuth clockwise, and beams that start away from the axis.
     LsLidar = 5,
-    /// Autoware's `nebula` for Hesai's scanners: sums of angles in single precision, glibc's cosine and sine of them, y
-    /// ahead, azimuth clockwise.
+    /// Autoware's `nebula` for Hesai's scanners: sums of angles in single precision, glibc's cosine and sine
+    /// of them, y ahead, azimuth clockwise.
     Nebula = 6,
     /// As `Nebula`, in its version of 2023: sums of angles in double precision, rounded once.
     Nebula2023 = 7,
     /// As `VelodyneRos`, with glibc's cosine and sine.
     VelodyneRosGlibc = 8,
-    /// Autoware's `nebula` for Velodyne's scanners: as `VelodyneRosGlibc`, with angles of ticks in double precision,
-    /// rounded once.
+    /// Autoware's `nebula` for Velodyne's scanners: as `VelodyneRosGlibc`, with angles of ticks in double
+    /// precision, rounded once.
     NebulaVelodyne = 9,
-    /// As `VelodyneRos`, with ranges in double precision, rounded once, angles of ticks by one product, and turned
-    /// to the right by a quarter of a turn: a driver of Hesai's Pandar64.
+    /// As `VelodyneRos`, with ranges in double precision, rounded once, angles of ticks by one product, and
+    /// turned to the right by a quarter of a turn: a driver of Hesai's Pandar64.
     Pandar64 = 10,
     /// Ouster's SDK for beams that start away from the axis: double precision, rounded once, x ahead, azimuth
     /// clockwise. Ranges are measured from the axis.
@@ -50,18 +50,19 @@ pub enum Recipe {
     /// Apollo's driver for Velodyne's scanners: as `VelodyneRos`, with angles of ticks by a product with pi,
     /// products of x and y in double precision, and cosine and sine of glibc before 2.28.
     Apollo = 13,
-    /// The ONCE data set: as `Nebula2023`, with products in double precision and cosine and sine of glibc before 2.28.
+    /// The ONCE data set: as `Nebula2023`, with products in double precision and cosine and sine of glibc
+    /// before 2.28.
     Once = 14,
-    /// The Python package `velodyne-decoder`: as `VelodyneRosGlibc`, with angles of ticks by two products, and a height
-    /// for each laser. Its beams intersect in a focal point in front of the axis.
+    /// The Python package `velodyne-decoder`: as `VelodyneRosGlibc`, with angles of ticks by two products,
+    /// and a height for each laser. Its beams intersect in a focal point in front of the axis.
     VelodyneDecoder = 15,
     /// As `VelodyneDecoder`, for the HDL-32E, whose heights it has in hundredths of millimetres.
     VelodyneDecoderHdl32e = 16,
-    /// As `Ouster`, in Ouster's ROS driver of 2021: it turns directions to the frame of the case by half a turn, but
-    /// not where beams start, which is therefore behind the axis.
+    /// As `Ouster`, in Ouster's ROS driver of 2021: it turns directions to the frame of the case by half a
+    /// turn, but not where beams start, which is therefore behind the axis.
     OusterEarly = 17,
-    /// As `RoboSense`, in an early version of the driver: a hundredth of a degree is a float32, and elevations below 0
-    /// are taken from the end of the tables.
+    /// As `RoboSense`, in an early version of the driver: a hundredth of a degree is a float32, and
+    /// elevations below 0 are taken from the end of the tables.
     RoboSenseEarly = 18,
 }
 
@@ -101,8 +102,8 @@ impl Recipe {
         Self::ALL.into_iter().find(|recipe| *recipe as u32 == number)
     }
 
-    /// Whether it may be that of a scanner whose beams all start in one point, be it beside the axis, as some of
-    /// RoboSense's do.
+    /// Whether it may be that of a scanner whose beams all start in one point, be it beside the axis, as some
+    /// of RoboSense's do.
     pub(super) fn may_start_in_one_point(self) -> bool {
         self != Recipe::LsLidar && !self.measures_from_axis() && !self.starts_in_beam()
     }
@@ -117,8 +118,8 @@ impl Recipe {
         matches!(self, Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e)
     }
 
-    /// By how much a range is more than the distance from the start of its beam, in metres, given the distance of the
-    /// start from the axis and the cosine of the elevation.
+    /// By how much a range is more than the distance from the start of its beam, in metres, given the
+    /// distance of the start from the axis and the cosine of the elevation.
     pub(super) fn farther(self, along: f64, cos: f64) -> f64 {
         match self {
             _ if self.measures_from_axis() => along,
@@ -127,8 +128,8 @@ impl Recipe {
         }
     }
 
-    /// By how many metres a beam starts higher than one without elevation, given the distance of its start from the
-    /// axis and the sine of its elevation.
+    /// By how many metres a beam starts higher than one without elevation, given the distance of its start
+    /// from the axis and the sine of its elevation.
     pub(super) fn higher(self, along: f64, sin: f64) -> f64 {
         match self {
             Recipe::OusterEarly => 2.0 * along * sin,
@@ -214,7 +215,8 @@ impl Recipe {
         }
     }
 
-    /// The resolution of lasers' angles, in degrees: that of a float32 in radians or degrees, or seven digits.
+    /// The resolution of lasers' angles, in degrees: that of a float32 in radians or degrees, or seven
+    /// digits.
     pub(super) fn angle_step(self, degrees: f64) -> f64 {
         let ulp = |value: f64| {
             let single = value.abs() as f32;
@@ -261,7 +263,8 @@ fn radians(degrees: f64) -> f64 {
 /// Radians per degree in LSLiDAR's driver.
 const LS_DEGREE: f64 = 0.017_453_293;
 
-/// Where beams start: this far from the axis in the direction of the tick, and this far above the scanner's origin.
+/// Where beams start: this far from the axis in the direction of the tick, and this far above the scanner's
+/// origin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Origin {
     /// In micrometres.
@@ -284,8 +287,8 @@ pub(super) enum TurnTable {
     Tables(LazyTable<[f32; 2]>),
     /// The angle in radians.
     Angles(LazyTable<f32>),
-    /// Degrees per tick, because the recipe adds a laser's offset before it takes the cosine; and cosine and sine
-    /// without an offset.
+    /// Degrees per tick, because the recipe adds a laser's offset before it takes the cosine; and cosine and
+    /// sine without an offset.
     Degrees(f64, LazyTable<[f64; 2]>),
 }
 
@@ -351,9 +354,9 @@ fn early_radians(tick: u32, ticks: u32) -> f64 {
 /// A laser's constants as the recipe uses them.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Arithmetic {
-    /// Cosine and sine of the elevation, and of the azimuth offset if there is one; whether ranges are products in
-    /// double precision and x and y are negated; whether x and y are products in double precision; metres up, if the
-    /// laser has a height.
+    /// Cosine and sine of the elevation, and of the azimuth offset if there is one; whether ranges are
+    /// products in double precision and x and y are negated; whether x and y are products in double
+    /// precision; metres up, if the laser has a height.
     Single {
         cos_v: f32,
         sin_v: f32,
@@ -374,8 +377,8 @@ pub(super) enum Arithmetic {
     Sum2023 { cos_v: f32, sin_v: f32, offset: f64 },
     /// As `Sum2023`, for products in double precision.
     Once { cos_v: f32, sin_v: f32, offset: f64 },
-    /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine; where the beam
-    /// starts; whether direction and start are rounded.
+    /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine; where the
+    /// beam starts; whether direction and start are rounded.
     Ouster { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], start: OusterStart, is_single: bool },
 }
 
@@ -488,8 +491,8 @@ impl Arithmetic {
         }
     }
 
-    /// [`position`](Self::position) of several ranges at once, each of a laser of its own. By the recipes of most
-    /// scanners, vector units compute them side by side.
+    /// [`position`](Self::position) of several ranges at once, each of a laser of its own. By the recipes of
+    /// most scanners, vector units compute them side by side.
     #[inline(always)]
     pub fn positions<const N: usize>(
         lasers: &[&Self; N],
@@ -528,8 +531,8 @@ impl Arithmetic {
         lanes(|i| lasers[i].position(turn, ticks[i], steps[i], range_step_um))
     }
 
-    /// The coordinates of [`position`](Self::position) in the precision in which they are computed, before they are
-    /// rounded.
+    /// The coordinates of [`position`](Self::position) in the precision in which they are computed, before
+    /// they are rounded.
     pub fn unrounded(&self, turn: &TurnTable, tick: u32, steps: u32, range_step_um: u32) -> [f64; 3] {
         match self {
             Arithmetic::Double { .. } | Arithmetic::Ls { .. } => {
@@ -539,8 +542,8 @@ impl Arithmetic {
         }
     }
 
-    /// Nearly the same, in a fraction of the time, and the largest error of x and y; z has none. `None` for some ticks, and
-    /// for most recipes.
+    /// Nearly the same, in a fraction of the time, and the largest error of x and y; z has none. `None` for
+    /// some ticks, and for most recipes.
     #[inline(always)]
     pub fn nearly_unrounded(
         &self,
@@ -564,8 +567,9 @@ impl Arithmetic {
         }
     }
 
-    /// The result of [`double`](Self::double), rounded to single precision, but from the cosine and the sine of the
-    /// tick: in a fraction of the time. `None` in the rare cases in which the different errors might show.
+    /// The result of [`double`](Self::double), rounded to single precision, but from the cosine and the sine
+    /// of the tick: in a fraction of the time. `None` in the rare cases in which the different errors might
+    /// show.
     #[inline(always)]
     fn double_by_table(&self, turn: &TurnTable, tick: u32, metres: f64) -> Option<[f32; 3]> {
         let TurnTable::Degrees(_, table) = turn else { return None };
@@ -738,7 +742,8 @@ impl Arithmetic {
         }
     }
 
-    /// [`single`](Self::single) of several ranges at once, each of a laser of its own, by [`Arithmetic::Single`].
+    /// [`single`](Self::single) of several ranges at once, each of a laser of its own, by
+    /// [`Arithmetic::Single`].
     #[inline(always)]
     fn singles<const N: usize>(
         lasers: &[&Self; N],
@@ -822,8 +827,8 @@ impl OusterStart {
         OusterStart { along, farther: recipe.crossing(along), up }
     }
 
-    /// A beam: what a millimetre of range adds to a position, and the position at range 0, in metres. `beam` is the
-    /// direction of the beam, `ahead` that of its tick.
+    /// A beam: what a millimetre of range adds to a position, and the position at range 0, in metres. `beam`
+    /// is the direction of the beam, `ahead` that of its tick.
     fn ray(&self, ahead: [f64; 2], beam: [f64; 3]) -> [[f64; 3]; 2] {
         let OusterStart { along, farther, up } = *self;
         let start = |ahead, farther, beam, above| (along * ahead - farther * beam + above) * 1e-3;
@@ -838,9 +843,9 @@ impl OusterStart {
     }
 }
 
-/// An upper bound of the difference between cosine and sine by [`turned_by`] and those of the rounded sum of the
-/// angles: the angles, of up to two turns in degrees, are rounded to 3e-14 degrees and converted to radians with
-/// errors of 3e-15; cosines and sines are rounded to 1e-16.
+/// An upper bound of the difference between cosine and sine by [`turned_by`] and those of the rounded sum of
+/// the angles: the angles, of up to two turns in degrees, are rounded to 3e-14 degrees and converted to
+/// radians with errors of 3e-15; cosines and sines are rounded to 1e-16.
 pub(super) const TURNED_ERROR: f64 = 2e-14;
 
 /// Cosine and sine of the sum of two angles.

@@ -6,11 +6,11 @@ pub enum Timing {
     /// All slots of a firing have the same tick.
     #[default]
     Together,
-    /// Velodyne's VLP-16, with two firings per block, in single precision: at slot `s` of firing `f`, the part
-    /// `(s * slot + f * firing) / block` of the ticks to the next block has passed; rounded.
+    /// Velodyne's VLP-16, with two firings per block, in single precision: at slot `s` of firing `f`, the
+    /// part `(s * slot + f * firing) / block` of the ticks to the next block has passed; rounded.
     Vlp16,
-    /// The part of the ticks to the next block that has passed at each slot, in 2^-24, firing after firing; rounded
-    /// down.
+    /// The part of the ticks to the next block that has passed at each slot, in 2^-24, firing after firing;
+    /// rounded down.
     Parts(Vec<u32>),
 }
 
@@ -43,15 +43,16 @@ impl Timing {
         }
     }
 
-    /// The tick at a place in a block, counted slot by slot and firing by firing. The block begins at the tick
-    /// `base`, `span` ticks before the next one. The result is not reduced to the first turn.
+    /// The tick at a place in a block, counted slot by slot and firing by firing. The block begins at the
+    /// tick `base`, `span` ticks before the next one. The result is not reduced to the first turn.
     #[inline(always)]
     pub fn tick(&self, passed: &BlockTimes, place: usize, base: u32, span: u32) -> u32 {
         match self {
             Timing::Together => base,
             Timing::Vlp16 => {
                 let [.., of_block] = VLP_16_TIMES;
-                // Rounds halves away from zero, as the driver's `round` does: no tick is negative, so `as` rounds down.
+                // Rounds halves away from zero, as the driver's `round` does: no tick is negative, so `as`
+                // rounds down.
                 (base as f32 + span as f32 * passed.times[place] / of_block + 0.5) as u32
             }
             Timing::Parts(parts) => base + passed_ticks(span, parts.get(place).copied().unwrap_or(0)),

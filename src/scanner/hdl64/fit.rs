@@ -173,7 +173,8 @@ fn coherence(values: &[f64], period: f64) -> (f64, f64) {
     (libm::hypot(re, im), libm::atan2(im, re))
 }
 
-/// The arguments of [`coherence`], for a function compiled for several vector units: the sums of the cosines and the sines.
+/// The arguments of [`coherence`], for a function compiled for several vector units: the sums of the cosines
+/// and the sines.
 struct Phasors<'a> {
     values: &'a [f64],
     period: f64,
@@ -296,13 +297,15 @@ struct System {
 }
 
 impl System {
-    /// The equations of the points that are within `reach` metres of the formula along all axes. Of these, only the
-    /// coordinates count that are off by more than `slack` metres, each with an error that is smaller by `slack`.
+    /// The equations of the points that are within `reach` metres of the formula along all axes. Of these,
+    /// only the coordinates count that are off by more than `slack` metres, each with an error that is
+    /// smaller by `slack`.
     fn of(formula: &FitFormula, points: &[Point], reach: f64, slack: f64) -> Self {
         dispatch(Equations { formula, points, reach, slack })
     }
 
-    /// Moves the constants to the solution, and returns the largest change; without a solution they are not changed.
+    /// Moves the constants to the solution, and returns the largest change; without a solution they are not
+    /// changed.
     fn step(&self, constants: &mut [f64; 5]) -> f64 {
         let Some(cholesky) = self.normal.cholesky() else { return 0.0 };
         let step = cholesky.solve(&self.right);
@@ -319,7 +322,8 @@ struct Equations<'a> {
     slack: f64,
 }
 
-/// The elements of the lower triangle that are not 0, by row and column, in the equations of x and y and in those of z.
+/// The elements of the lower triangle that are not 0, by row and column, in the equations of x and y and in
+/// those of z.
 const OF_X_AND_Y: [[usize; 2]; 10] =
     [[0, 0], [1, 0], [3, 0], [4, 0], [1, 1], [3, 1], [4, 1], [3, 3], [4, 3], [4, 4]];
 const OF_Z: [[usize; 2]; 3] = [[0, 0], [2, 0], [2, 2]];
@@ -356,7 +360,8 @@ impl NullaryFnOnce for Equations<'_> {
     }
 }
 
-/// Sums of the products of which normal equations consist, in the order of [`OF_X_AND_Y`] and [`OF_Z`], lane by lane.
+/// Sums of the products of which normal equations consist, in the order of [`OF_X_AND_Y`] and [`OF_Z`], lane
+/// by lane.
 #[derive(Clone, Copy)]
 struct Sums<const N: usize> {
     x_and_y: [[f64; N]; OF_X_AND_Y.len()],

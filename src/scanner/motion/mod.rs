@@ -167,8 +167,8 @@ fn corrected(position: [f32; 3], units: &[i64; 3]) -> [f32; 3] {
     })
 }
 
-/// A point after compensation; but the measured point itself if either has a NaN, as processors differ in the bits of a
-/// NaN that they compute.
+/// A point after compensation; but the measured point itself if either has a NaN, as processors differ in the
+/// bits of a NaN that they compute.
 fn unless_nan(measured: &[f32; 3], moved: [f32; 3]) -> [f32; 3] {
     if moved.iter().chain(measured).any(|metres| metres.is_nan()) { *measured } else { moved }
 }

@@ -1,10 +1,11 @@
 //! Fits a scanner and its mounting to points alone.
 //!
-//! The [`pose`](super::pose) of the scanner turns points into ranges, elevations and azimuths, of which only the
-//! direction of azimuth 0 is still unknown. It shows in the roundings: a recipe rounds positions before they are moved,
-//! so that the right direction, of all that are whole ticks apart, misses the fewest coordinates. If the program did not
-//! round them, all these directions are right. The numbers of the mounting then follow by least squares, and the
-//! measured points, to the last bit, from those of the recipe. To these a scanner is fitted as to any others.
+//! The [`pose`](super::pose) of the scanner turns points into ranges, elevations and azimuths, of which only
+//! the direction of azimuth 0 is still unknown. It shows in the roundings: a recipe rounds positions before
+//! they are moved, so that the right direction, of all that are whole ticks apart, misses the fewest
+//! coordinates. If the program did not round them, all these directions are right. The numbers of the
+//! mounting then follow by least squares, and the measured points, to the last bit, from those of the recipe.
+//! To these a scanner is fitted as to any others.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -31,8 +32,8 @@ const SAMPLE: usize = 8000;
 /// The same where every bit counts.
 const FEW: usize = 2000;
 
-/// A scanner with its mounting, and the share of the points that it explains. `None` if the largest scan of the sample
-/// does not show a scanner.
+/// A scanner with its mounting, and the share of the points that it explains. `None` if the largest scan of
+/// the sample does not show a scanner.
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     let scan = sample.iter().max_by_key(|scan| scan.cloud.measured())?;
     let positions = &scan.cloud.positions;
@@ -48,7 +49,8 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
         last_bits(&pairs, start)
     };
     let (mounting, exact) = sharpened(&seen, &start)?;
-    // Most recipes round x and y alike, so that a quarter of a turn shows only in the order of a mounting's sums.
+    // Most recipes round x and y alike, so that a quarter of a turn shows only in the order of a mounting's
+    // sums.
     let quarter = seen.later(scanner.build.ticks / 4);
     let other = sharpened(&quarter, &start.turned(FRAC_PI_2)).filter(|(_, other)| *other > exact);
     let mounting = other.map_or(mounting, |(mounting, _)| mounting);
@@ -68,14 +70,16 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     })
 }
 
-/// Whether a point of a file may be a return: others are not finite, too far away for any scanner, or at the origin.
+/// Whether a point of a file may be a return: others are not finite, too far away for any scanner, or at the
+/// origin.
 fn may_be_return(position: &[f32; 3]) -> bool {
     /// In metres.
     const FARTHEST: f32 = 10_000.0;
     position.iter().all(|metres| metres.abs() < FARTHEST) && *position != [0.0; 3]
 }
 
-/// Where a cloud has its records without a return, if they were moved, too: where more records are than returns can be.
+/// Where a cloud has its records without a return, if they were moved, too: where more records are than
+/// returns can be.
 fn of_nothing(positions: &[[f32; 3]]) -> Option<[f32; 3]> {
     const FEWEST: usize = 20;
     let mut sorted: Vec<[u32; 3]> = positions
@@ -164,7 +168,8 @@ impl Seen {
         let phase_of = |points: &Vec<Point>| phase(points.iter().map(|point| in_ticks(point, ticks))).0;
         let phases: Vec<f64> = of_rows.iter().map(phase_of).collect();
         let tick = 360.0 / f64::from(ticks);
-        // Azimuth 0 is turned such that the offsets of all lasers are whole ticks, or whole thousandths of degrees.
+        // Azimuth 0 is turned such that the offsets of all lasers are whole ticks, or whole thousandths of
+        // degrees.
         let thousandths = (tick * 1e3).round().max(1.0);
         let in_parts = |parts: f64| {
             let seen = phases.iter().zip(&of_rows).filter(|(_, points)| !points.is_empty());
@@ -208,8 +213,8 @@ impl Seen {
         Some(Seen { build, lasers: lasers.collect(), points, parts })
     }
 
-    /// The scanner by a recipe, its azimuth offsets so many thousandths of degrees greater. The slots of its firings are
-    /// not known yet.
+    /// The scanner by a recipe, its azimuth offsets so many thousandths of degrees greater. The slots of its
+    /// firings are not known yet.
     fn scanner(&self, recipe: Recipe, part: u32) -> Firings {
         let build = Build { recipe, ..self.build.clone() };
         let greater =
@@ -223,8 +228,9 @@ impl Seen {
         self.points.iter().map(|(found, position)| (scanner.unrounded(found), *position)).collect()
     }
 
-    /// The scanner by the recipe by which points were rounded before they were moved, the measurements with the ticks that
-    /// it counts, and nearly its mounting. If the roundings tell no recipe, it is one in double precision.
+    /// The scanner by the recipe by which points were rounded before they were moved, the measurements with
+    /// the ticks that it counts, and nearly its mounting. If the roundings tell no recipe, it is one in
+    /// double precision.
     fn with_recipe(mut self, start: &Mounting) -> Option<(Firings, Self, Mounting)> {
         /// A direction that misses no more than this part of what others miss is no chance.
         const WORTH: f64 = 0.93;
@@ -269,7 +275,8 @@ impl Seen {
         self
     }
 
-    /// The direction of azimuth 0 for which the points of a recipe reproduce the most coordinates of the file.
+    /// The direction of azimuth 0 for which the points of a recipe reproduce the most coordinates of the
+    /// file.
     fn direction(&self, recipe: Recipe, part: u32, start: &Mounting) -> Option<Direction> {
         /// Numbers of points by which directions are compared, and the part of the directions that remains.
         const ROUNDS: [(usize, usize); 4] = [(16, 16), (64, 16), (400, 16), (1600, 1)];
@@ -320,8 +327,8 @@ const DIFFERENT: [Recipe; 7] = [
 /// Those of Hesai's scanners.
 const OF_HESAI: [Recipe; 3] = [Recipe::DoubleYAhead, Recipe::Nebula, Recipe::Pandar64];
 
-/// The whole ticks of each laser's azimuth offset, as far as the order of the file tells them, from the rows and ticks of
-/// its points: such that their mean is about 0.
+/// The whole ticks of each laser's azimuth offset, as far as the order of the file tells them, from the rows
+/// and ticks of its points: such that their mean is about 0.
 fn whole_ticks(mut sequence: Vec<(usize, u32)>, elevations: &[f64], ticks: u32) -> Vec<f64> {
     let rows = elevations.len();
     // Echoes say nothing about the order. A VLP-16's lasers have no offsets, but ticks pass while they fire.
@@ -359,8 +366,8 @@ impl Direction {
         f64::from(self.missed) / f64::from(self.by_chance.max(1))
     }
 
-    /// The whole tick nearest to the first axis of the file. Where points were not rounded before they were moved, any
-    /// direction is as good as another, and this one is the likeliest.
+    /// The whole tick nearest to the first axis of the file. Where points were not rounded before they were
+    /// moved, any direction is as good as another, and this one is the likeliest.
     fn aligned(&self, ticks: u32) -> Self {
         let [a, b, ..] = self.mounting.rows[0];
         let tick = TAU / f64::from(ticks);
@@ -378,7 +385,8 @@ fn unit_at(coordinate: f32) -> f64 {
     f64::from(coordinate.abs().next_up()) - f64::from(coordinate.abs())
 }
 
-/// How many coordinates a mounting does not reproduce, by the one of these orders of operations that reproduces the most.
+/// How many coordinates a mounting does not reproduce, by the one of these orders of operations that
+/// reproduces the most.
 fn missed(mounting: &Mounting, orders: &[TransformOrder], pairs: impl Iterator<Item = Pair>) -> u32 {
     /// Metres: smaller coordinates are more accurate than the mounting is known at first.
     const SMALL: f32 = 0.5;
@@ -394,8 +402,8 @@ fn missed(mounting: &Mounting, orders: &[TransformOrder], pairs: impl Iterator<I
     missed[..orders.len()].iter().copied().min().unwrap_or(0)
 }
 
-/// For each round of least squares, the least error, in metres, that is told from others, and how many times the error of
-/// a coordinate counts.
+/// For each round of least squares, the least error, in metres, that is told from others, and how many times
+/// the error of a coordinate counts.
 type Rounds = [(f64, f64)];
 const COARSE: [(f64, f64); 4] = [(1e-6, f64::INFINITY), (1e-6, 8.0), (2e-7, 4.0), (2e-7, 4.0)];
 /// Small coordinates determine the last digits, if everything is computed in double precision.
@@ -429,10 +437,11 @@ fn least_squares(pairs: &[Pair], start: &Mounting, rounds: &Rounds) -> Option<Mo
     Some(mounting)
 }
 
-/// The numbers of a scanner's mounting to the last bit, and the order of its operations: those that reproduce the most
-/// coordinates; and how many of a sample they reproduce.
+/// The numbers of a scanner's mounting to the last bit, and the order of its operations: those that reproduce
+/// the most coordinates; and how many of a sample they reproduce.
 fn last_bits(pairs: &[Pair], start: &Mounting) -> Option<(Mounting, usize)> {
-    /// What was written may reproduce fewer coordinates, as some lasers' constants are not known to the last bit yet.
+    /// What was written may reproduce fewer coordinates, as some lasers' constants are not known to the last
+    /// bit yet.
     const AS_GOOD: f64 = 0.99;
     let rounded = |(point, position): &Pair| (TransformOrder::Double.rounded_first(*point), *position);
     let rounded: Vec<Pair> = pairs.iter().map(rounded).collect();
@@ -463,8 +472,9 @@ fn last_bits(pairs: &[Pair], start: &Mounting) -> Option<(Mounting, usize)> {
     found.into_iter().rev().max_by_key(|(_, exact)| *exact)
 }
 
-/// A row as its author may have written it, if it turns by whole quarters of a turn: with a translation of tenths of
-/// millimetres or of micrometres, and for cosines of 0 also what programs compute as the cosine or sine of such an angle.
+/// A row as its author may have written it, if it turns by whole quarters of a turn: with a translation of
+/// tenths of millimetres or of micrometres, and for cosines of 0 also what programs compute as the cosine or
+/// sine of such an angle.
 fn written([a, b, c, t]: [f64; 4]) -> Vec<[f64; 4]> {
     /// How near a number must be to what was written.
     const NEAR: f64 = 2e-6;
@@ -534,13 +544,15 @@ fn sharpened(order: TransformOrder, row: [f64; 4], pairs: &[Pair], axis: usize) 
     best
 }
 
-/// Grids of angles, in degrees: manufacturers write thousandths of degrees, some programs ten-thousandths of radians.
+/// Grids of angles, in degrees: manufacturers write thousandths of degrees, some programs ten-thousandths of
+/// radians.
 const DEGREES: f64 = 1e-3;
 const RADIANS: f64 = 1e-4 * 180.0 / PI;
 
 /// Angles in degrees as they were written, all on one of these grids, or on none, in the unit of [`Laser`].
 fn all_as_written(degrees: &[f64], grids: &[f64]) -> Vec<i64> {
-    /// In degrees: how near to a grid half of the angles must be. Angles that are on no grid are 2.5e-4 off on average.
+    /// In degrees: how near to a grid half of the angles must be. Angles that are on no grid are 2.5e-4 off
+    /// on average.
     const MOST_NEAR: f64 = 1e-4;
     /// In degrees: how near an angle must be to be rounded.
     const NEAR: f64 = 2.5e-4;

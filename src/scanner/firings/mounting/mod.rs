@@ -1,12 +1,14 @@
-//! Scans in the frame of a vehicle: how a program moved the points of a scanner that is mounted on one. FORMAT.md 3.3.
+//! Scans in the frame of a vehicle: how a program moved the points of a scanner that is mounted on one.
+//! FORMAT.md 3.3.
 //!
-//! With a rotation R and a translation T, which are the same for all scans, a point p of the scanner's recipe becomes
+//! With a rotation R and a translation T, which are the same for all scans, a point p of the scanner's recipe
+//! becomes
 //!
 //! ```text
 //! v = R p + T
 //! ```
-//! The [`TransformOrder`] of the operations and their precision are those of the program. `pose` finds where the scanner is
-//! and how it is turned from points alone; `fit` finds the numbers.
+//! The [`TransformOrder`] of the operations and their precision are those of the program. `pose` finds where
+//! the scanner is and how it is turned from points alone; `fit` finds the numbers.
 
 mod fit;
 mod pose;
@@ -32,8 +34,8 @@ pub enum TransformOrder {
     SingleShiftLast = 4,
     /// Single precision with fused products and sums: `fma(z, c, fma(y, b, x a)) + t`: NumPy.
     SingleFused = 5,
-    /// Double precision, rounded once, as the points were not rounded before: programs that keep points in double
-    /// precision until they write them.
+    /// Double precision, rounded once, as the points were not rounded before: programs that keep points in
+    /// double precision until they write them.
     DoubleUnrounded = 6,
 }
 
@@ -111,8 +113,8 @@ impl Mounting {
         [0, 1, 2].map(|axis| self.order.coordinate(&self.rows[axis], point))
     }
 
-    /// [`moved`](Self::moved), rounded to float32, given nearly a point of the recipe that is not rounded, and the
-    /// largest error of its x and y. `None` in the rare cases in which the error might show.
+    /// [`moved`](Self::moved), rounded to float32, given nearly a point of the recipe that is not rounded,
+    /// and the largest error of its x and y. `None` in the rare cases in which the error might show.
     #[inline]
     pub(super) fn surely_moved(&self, point: &[f64; 3], error: f64) -> Option<[f32; 3]> {
         let coordinate = |row: &[f64; 4]| {
@@ -163,8 +165,8 @@ impl Firings {
         mounting.map_or([0.0; 3], |mounting| mounting.moved(&[0.0; 3]).map(|metres| metres as f32))
     }
 
-    /// The points of a file in the frame of the scanner: those of the recipe, or if it gives no near one, the file's moved
-    /// back.
+    /// The points of a file in the frame of the scanner: those of the recipe, or if it gives no near one, the
+    /// file's moved back.
     fn measured(&self, positions: &[[f32; 3]]) -> Vec<[f64; 3]> {
         let Some(mounting) = &self.build.mounting else {
             return positions.iter().map(|position| position.map(f64::from)).collect();

@@ -1,13 +1,15 @@
 //! Where a scanner is and how it is turned, from points alone.
 //!
 //! Neighbouring points of a file were measured by neighbouring beams, whose plane passes through the scanner:
-//! - Points of a row follow one another: planes of all directions meet in the point where the beams start (the apex), and
-//!   the directions of a row lie on a cone around the axis.
-//! - Points of a firing follow one another: all planes contain the axis. Where on the axis beams start is where
-//!   elevations form heaps, or, if many points are near, where the planes meet. If azimuth offsets bend the firings, planes
-//!   do not contain the axis, but still meet in the apex; the axis is then that for which elevations form heaps.
+//! - Points of a row follow one another: planes of all directions meet in the point where the beams start
+//!   (the apex), and the directions of a row lie on a cone around the axis.
+//! - Points of a firing follow one another: all planes contain the axis. Where on the axis beams start is
+//!   where elevations form heaps, or, if many points are near, where the planes meet. If azimuth offsets bend
+//!   the firings, planes do not contain the axis, but still meet in the apex; the axis is then that for which
+//!   elevations form heaps.
 //!
-//! Such a first estimate is good to a thousandth; the cones of the lasers, which it then tells apart, give the rest.
+//! Such a first estimate is good to a thousandth; the cones of the lasers, which it then tells apart, give
+//! the rest.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
@@ -31,13 +33,13 @@ const LEAST_SHARE: f64 = 0.5;
 const ON_CONE: f64 = 3e-5;
 /// In radians: how far off a pose that was found with fewer points may be.
 const FOUND: f64 = 2e-4;
-/// In metres, and as a sine: the largest median distances of the scanner from planes, and of its axis from their
-/// directions.
+/// In metres, and as a sine: the largest median distances of the scanner from planes, and of its axis from
+/// their directions.
 const NEAR_PLANES: f64 = 0.06;
 const IN_PLANES: f64 = 0.01;
 
-/// The pose of the scanner that measured these points; `rows` has the same points row after row, if a channel tells
-/// the rows. `None` if none is found.
+/// The pose of the scanner that measured these points; `rows` has the same points row after row, if a channel
+/// tells the rows. `None` if none is found.
 pub fn find(points: &[Vector3<f64>], rows: Option<&[Vector3<f64>]>) -> Option<Pose> {
     /// Numbers of neighbouring points through which a plane is laid.
     const OF_ROWS: [usize; 3] = [16, 8, 32];
@@ -96,8 +98,8 @@ fn distinct(poses: Vec<Pose>) -> Vec<Pose> {
     distinct
 }
 
-/// The quarter of some points that is farthest from a point. If the place of the scanner is known to centimetres only, the
-/// elevations of near points are wrong by several lasers.
+/// The quarter of some points that is farthest from a point. If the place of the scanner is known to
+/// centimetres only, the elevations of near points are wrong by several lasers.
 fn farthest(points: &[Vector3<f64>], from: &Vector3<f64>) -> Vec<Vector3<f64>> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| (b - from).norm_squared().total_cmp(&(a - from).norm_squared()));
@@ -105,7 +107,8 @@ fn farthest(points: &[Vector3<f64>], from: &Vector3<f64>) -> Vec<Vector3<f64>> {
     sorted
 }
 
-/// The pose with this apex whose axis is nearly upright, such that the elevations of some points form the highest heaps.
+/// The pose with this apex whose axis is nearly upright, such that the elevations of some points form the
+/// highest heaps.
 fn tilted(apex: Vector3<f64>, points: &[Vector3<f64>]) -> Pose {
     /// In radians, and steps.
     const STEP: f64 = 5e-3;
@@ -330,8 +333,8 @@ impl Pose {
     }
 }
 
-/// The pose for which the points of each laser lie on a cone, if there is one near a pose that is right to less than
-/// half of `apart`, the distance of lasers in radians.
+/// The pose for which the points of each laser lie on a cone, if there is one near a pose that is right to
+/// less than half of `apart`, the distance of lasers in radians.
 fn refined(mut pose: Pose, sample: &[Vector3<f64>], apart: f64) -> Option<Pose> {
     const MOST_ROUNDS: usize = 40;
     /// The round by which the lasers of a right start are known.
@@ -412,8 +415,8 @@ fn nearest_of(lasers: &[f64], seen: &[Sighted], reach: f64) -> Vec<Option<usize>
 /// The unknowns: rotations of the axis towards two directions across it, and the apex.
 const UNKNOWNS: usize = 5;
 
-/// A step of least squares towards elevations that are the same for all points of a laser. Returns the change of the
-/// pose, the median of what deviations are left, and the elevations.
+/// A step of least squares towards elevations that are the same for all points of a laser. Returns the change
+/// of the pose, the median of what deviations are left, and the elevations.
 fn step(
     pose: &Pose,
     seen: &[Sighted],

@@ -124,8 +124,8 @@ pub struct World {
     pub corrections: Vec<Correction>,
 }
 
-/// A rotation matrix by its rows. What streams rely on is computed in this order of operations, which a library might
-/// change.
+/// A rotation matrix by its rows. What streams rely on is computed in this order of operations, which a
+/// library might change.
 type Rows3 = [[f64; 3]; 3];
 
 /// The rotation about an axis whose length is the angle in radians: Rodrigues' formula.
@@ -270,8 +270,8 @@ impl World {
         poses
     }
 
-    /// Records the points of the file's `positions` that the formula misses, given the decoded measured points:
-    /// those that are not `near` it.
+    /// Records the points of the file's `positions` that the formula misses, given the decoded measured
+    /// points: those that are not `near` it.
     pub fn find_corrections(
         &mut self,
         measured: &[[f32; 3]],
