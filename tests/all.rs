@@ -20,6 +20,7 @@ mod inter;
 mod kill;
 mod live;
 mod mounting;
+mod orientation;
 mod paper;
 mod recordings;
 mod registration;

@@ -88,7 +88,7 @@ fn the_order_of_the_file_costs_nothing_and_no_point_is_a_stray() {
     let (scanners, groups) = take_apart(&stream);
     assert_eq!(scanners.len(), 1);
     let scanner = Scanner::of_record(scanners[0].family, &scanners[0].payload).unwrap();
-    assert!(matches!(scanner, Some(Scanner::Firings(_))));
+    assert!(scanner.is_some_and(|scanner| scanner.firings().is_some()));
     let bytes = |wanted: SectionKind| bytes_of(wanted, &groups);
     assert_eq!(bytes(SectionKind::Strays), 0, "there are no strays");
     assert!(bytes(SectionKind::Order) <= 4 * scans.len());

@@ -117,7 +117,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         "scanner" => {
             let vlp16 = SynthConfig { scanner: SynthScanner::Vlp16, thinning: 4, ..small(1, 1) };
             let vlp16 = Scanner::fit(&[parse("0.bin", kitti(&scans(&vlp16)[0]))]).unwrap();
-            let fitted = ScannerRecord { family: vlp16.family(), payload: vlp16.to_payload() };
+            let fitted = ScannerRecord { family: vlp16.family_number(), payload: vlp16.to_payload() };
             let records = STREAMS.iter().flat_map(|(scanners, _)| scanners).chain([&fitted]);
             let seed = |record: &ScannerRecord| [&[record.family as u8], &record.payload[..]].concat();
             records.map(seed).collect::<BTreeSet<_>>().into_iter().collect()

@@ -150,6 +150,15 @@ fn mounted_files(mover: common::firings::Mover) -> Vec<File> {
     named(&scans(&config).iter().map(moved).collect::<Vec<_>>())
 }
 
+/// Two scans of an HDL-64E or a VLP-16 in files with other axes than the scanner's: y is up.
+fn y_up_files(scanner: SynthScanner) -> Vec<File> {
+    let config = SynthConfig { scanner, frames: 2, thinning: 6, ..small(8, 2) };
+    let turned = |scan: &common::scans::Points| {
+        scan.iter().map(|[x, y, z, intensity]| [-y, *z, -x, *intensity]).collect::<Vec<_>>()
+    };
+    named(&scans(&config).iter().map(turned).collect::<Vec<_>>())
+}
+
 /// Scans of a VLP-16 with the time of each point as ROS' driver computes it: that of its packet, of 24
 /// firings, and that of its firing and laser, added in single precision. The second scan begins within a
 /// packet.
@@ -311,6 +320,8 @@ fn recipes() -> Vec<Recipe> {
         || firings_files(firings::Recipe::RoboSenseEarly, Cells::Returns),
         EncoderConfig::default(),
     );
+    exact("y-up", || y_up_files(SynthScanner::Hdl64), EncoderConfig::default());
+    exact("firings-y-up", || y_up_files(SynthScanner::Vlp16), EncoderConfig::default());
     exact("firings-mounted-unrounded", unrounded_files, EncoderConfig::default());
     exact(
         "firings-lslidar",

@@ -111,8 +111,10 @@ fn upside_down_and_quarters_of_a_turn_are_found() {
     let turns = [[180.0, 0.0, 0.0], [0.0, 0.0, 90.0], [0.0, 90.0, 0.0], [0.0, 0.0, 180.0]];
     for (degrees, metres) in turns.into_iter().flat_map(|turn| [(turn, [0.0; 3]), (turn, [0.0, 0.0, 1.8])]) {
         let moved = Mover::NumPyDouble.moved(scan, degrees, metres);
-        let (scanner, _) = fitted(file(&moved));
-        let exact = scanner.reproduced_share(&positions(&moved));
+        let found = Scanner::fit(&[file(&moved)]).expect("a scanner is found");
+        let along_axes =
+            positions(&moved).into_iter().map(|position| found.orientation().to_scanner(position));
+        let exact = found.firings().unwrap().reproduced_share(&along_axes.collect::<Vec<_>>());
         assert!(exact > 0.98, "{degrees:?} {metres:?}: {exact}");
     }
 }

@@ -601,7 +601,7 @@ pub(crate) fn decode_parts(
 ) -> Result<(FrameParts, StageReport)> {
     let limits = limits.at_most(allowance(sections));
     let mut reader = SectionReader::new(sections, &limits);
-    let mut frame = FrameParts::of_records(header.point_count as usize);
+    let mut frame = FrameParts::of_records(header.point_count as usize, scanner);
     models.code_frame(&mut reader, scanner, &mut frame)?;
     Ok((frame, reader.finish()?))
 }

@@ -20,9 +20,8 @@ use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
 use crate::models::{OrderExceptions, PointTrail, RecordContext};
 use crate::scan::{Channel, Layout, PointCloud, ScanFile, sorted};
-use crate::scanner::Scanner;
 use crate::scanner::motion::{self, Compensation, by_time};
-use crate::scanner::{Projection, REACH, RangeImage, Return, project_nearest};
+use crate::scanner::{Orientation, Projection, REACH, RangeImage, Return, Scanner, project_nearest};
 
 /// The parts of a frame, as the sections code them.
 #[derive(Clone, Debug, Default)]
@@ -64,6 +63,8 @@ pub struct FrameParts {
     pub channels: Vec<Channel>,
     /// The file's bytes, if the whole frame is coded as bytes.
     pub whole: Option<WholeFile>,
+    /// The axes of the file; all positions here have those of the scanner.
+    pub orientation: Orientation,
     /// How the points were moved after they were measured; all positions here are those before.
     pub compensation: Option<Compensation>,
     /// The channel by which the file's records were sorted; everything else here is in the order of arrival.
@@ -95,8 +96,9 @@ impl FrameParts {
     }
 
     /// A frame with `records` records, to be decoded.
-    pub fn of_records(records: usize) -> Self {
-        FrameParts { records, ..FrameParts::default() }
+    pub fn of_records(records: usize, scanner: Option<&Scanner>) -> Self {
+        let orientation = scanner.map_or_else(Orientation::default, Scanner::orientation);
+        FrameParts { records, orientation, ..FrameParts::default() }
     }
 
     /// A frame that is coded as the bytes of its file.
@@ -117,11 +119,13 @@ impl FrameParts {
             prefix: scan.prefix,
             suffix: scan.suffix,
             records: scan.records,
+            orientation: scanner.map_or_else(Orientation::default, Scanner::orientation),
             ..FrameParts::default()
         };
         let bound = Bound::of(config.positions, config.intensity);
         let cloud = stages.timed(Stage::Conversion, || {
-            let cloud = if scanner.is_some() { frame.undo_sort(scan.cloud) } else { scan.cloud };
+            let cloud = frame.orientation.cloud_to_scanner(scan.cloud);
+            let cloud = if scanner.is_some() { frame.undo_sort(cloud) } else { cloud };
             frame.undo_compensation(cloud, scanner, config)
         });
         match scanner.filter(|_| !cloud.positions.is_empty()) {
@@ -449,6 +453,9 @@ impl FrameParts {
         };
         if let Some(compensation) = &self.compensation {
             compensation.apply(&mut cloud.positions, &self.channels);
+        }
+        if !self.orientation.is_default() {
+            cloud.positions.iter_mut().for_each(|position| *position = self.orientation.to_file(*position));
         }
         let order = self.file_order();
         cloud.channels = self.channels;

@@ -6,19 +6,25 @@ use std::fmt;
 use super::firings::{self, Firings};
 use super::hdl64::{self, Hdl64};
 use super::motion::by_time;
-use super::{Coordinates, MOST_STEPS, Projection, REACH, RangeImage, Return};
+use super::{Coordinates, MOST_STEPS, Orientation, Projection, REACH, RangeImage, Return};
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
+use crate::ground::varint::{read_unsigned, write_unsigned};
 use crate::scan::{PointCloud, ScanFile, squared_distance};
 
 /// A scanner: the model that turns integers (beam or laser, azimuth tick, range steps) into the coordinates
-/// of a file.
-///
-/// A family defines its formula, the order of its points in a file, the coding of its columns, and how its
-/// constants are estimated from points alone. A new family is a folder, a variant here, and a line in each of
-/// the functions below.
+/// of a file, along its own axes.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Scanner {
+pub struct Scanner {
+    family: Family,
+    orientation: Orientation,
+}
+
+/// A family defines the formula, the order of points in a file, the coding of columns, and how constants are
+/// estimated from points alone. A new family is a folder, a variant here, and a line in each of the functions
+/// below.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Family {
     /// Beam by beam, each in ascending order of azimuth.
     Hdl64(Hdl64),
     /// Firing by firing.
@@ -39,16 +45,45 @@ pub struct ColumnModels {
 impl fmt::Display for Scanner {
     /// The scanner's properties in users' terms.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Scanner::Hdl64(scanner) => write!(
+        match &self.family {
+            Family::Hdl64(scanner) => write!(
                 f,
                 "like Velodyne's HDL-64E, {} lasers, {:.3} degrees a firing, row by row",
                 scanner.rows(),
                 360.0 / f64::from(scanner.ticks),
-            ),
-            Scanner::Firings(scanner) => scanner.fmt(f),
+            )?,
+            Family::Firings(scanner) => scanner.fmt(f)?,
         }
+        if self.orientation.is_default() { Ok(()) } else { write!(f, ", with axes {}", self.orientation) }
     }
+}
+
+impl From<Family> for Scanner {
+    /// The scanner of a file with the scanner's axes.
+    fn from(family: Family) -> Self {
+        Scanner { family, orientation: Orientation::default() }
+    }
+}
+
+impl From<Hdl64> for Scanner {
+    fn from(scanner: Hdl64) -> Self {
+        Family::Hdl64(scanner).into()
+    }
+}
+
+impl From<Firings> for Scanner {
+    fn from(scanner: Firings) -> Self {
+        Family::Firings(scanner).into()
+    }
+}
+
+/// The scans of a sample along the axes of a scanner.
+fn along_axes(sample: &[ScanFile], orientation: Orientation) -> Vec<ScanFile> {
+    let turned = |scan: &ScanFile| ScanFile {
+        cloud: orientation.cloud_to_scanner(scan.cloud.clone()),
+        ..scan.clone()
+    };
+    sample.iter().map(turned).collect()
 }
 
 impl Scanner {
@@ -61,11 +96,11 @@ impl Scanner {
     /// Whether a decoder accepts the scanner's record. One that was fitted to values that no scanner measures
     /// may have constants beyond all limits.
     fn can_be_read(&self) -> bool {
-        Self::of_record(self.family(), &self.to_payload()).is_ok()
+        Self::of_record(self.family_number(), &self.to_payload()).is_ok()
     }
 
     fn of_sample(sample: &[ScanFile]) -> Option<Scanner> {
-        let beams = || hdl64::fit(sample).map(Scanner::Hdl64);
+        let beams = || hdl64::fit(sample).map(Scanner::from);
         let largest = sample.iter().max_by_key(|scan| scan.cloud.measured());
         // An evident HDL-64E is recognised quickly, whereas ruling out all other scanners takes long.
         let evident = largest.filter(|scan| hdl64::is_evident(&scan.cloud.positions)).and_then(|_| beams());
@@ -77,14 +112,60 @@ impl Scanner {
         let largest = largest.map_or(&[][..], |scan| &scan.cloud.positions);
         let exact = found.as_ref().map_or(0.0, |scanner| scanner.reproduced_share(largest));
         if let Some(found) = found.as_ref().filter(|scanner| scanner.reproduces_most(largest)) {
-            return Some(Scanner::Firings(found.clone()));
+            return Some(found.clone().into());
+        }
+        let turned = Self::with_other_axes(sample, largest, found.is_some());
+        if let Some((turned, _)) = turned.as_ref().filter(|(_, reproduces_most)| *reproduces_most) {
+            return Some(turned.clone());
         }
         // Half of what is missed must be worth a motion.
         let is_better =
             |scanner: &Firings| found.is_none() || scanner.reproduced_share(largest) > 0.5 * (1.0 + exact);
         let moved = by_time::fit(sample, found.as_ref());
         let mounted = || firings::fit_mounted(sample).map(|(scanner, _)| scanner).filter(is_better);
-        moved.or_else(mounted).or(found).map(Scanner::Firings).or_else(beams)
+        let firings = moved.or_else(mounted).or(found).map(Scanner::from);
+        firings.or_else(beams).or(turned.map(|(scanner, _)| scanner))
+    }
+
+    /// A scanner of firings for a sample whose files have other axes than it has, and whether it reproduces
+    /// most of the largest scan, whose positions are `positions`: the first that does or, unless `is_one`, the
+    /// first one. `is_one`: one fits along the axes of the files, but does not reproduce most points.
+    fn with_other_axes(sample: &[ScanFile], positions: &[[f32; 3]], is_one: bool) -> Option<(Scanner, bool)> {
+        /// Number of failed fits after which the other three or four orientations with the same axis up are
+        /// tried: which axis is ahead matters to roundings, by which few scanners are found.
+        const MAY_FAIL: [usize; 2] = [4, 0];
+        let mut first = None;
+        for (four, may_fail) in Orientation::of_firings(positions).into_iter().zip(MAY_FAIL) {
+            let mut failed = 0;
+            for orientation in four.into_iter().filter(|orientation| !orientation.is_default()) {
+                let Some((found, _)) = firings::fit(&along_axes(sample, orientation)) else {
+                    failed += 1;
+                    if failed > may_fail {
+                        break;
+                    }
+                    continue;
+                };
+                let positions = positions.iter().map(|position| orientation.to_scanner(*position));
+                let reproduces_most = found.reproduces_most(&positions.collect::<Vec<_>>());
+                let found = Scanner::from(found).oriented(orientation);
+                if reproduces_most {
+                    return Some((found, true));
+                }
+                first = first.or((!is_one).then_some(found));
+            }
+        }
+        first.map(|first| (first, false))
+    }
+
+    /// This scanner for files with these axes.
+    pub fn oriented(self, orientation: Orientation) -> Self {
+        Scanner { orientation, ..self }
+    }
+
+    /// The axes of the files. All else here, and all clouds that its functions take and return, have the axes
+    /// of the scanner.
+    pub fn orientation(&self) -> Orientation {
+        self.orientation
     }
 
     /// The share of a scan's points that are in its range image; of many points by an HDL-64E, of those in
@@ -93,8 +174,8 @@ impl Scanner {
         /// A sufficient number of points: at least ten beams.
         const MANY: usize = 25_000;
         let positions = &cloud.positions;
-        let middle = match self {
-            Scanner::Hdl64(_) if positions.len() > MANY => {
+        let middle = match &self.family {
+            Family::Hdl64(_) if positions.len() > MANY => {
                 let start = (positions.len() - MANY) / 2;
                 Cow::Owned(PointCloud {
                     positions: positions[start..start + MANY].to_vec(),
@@ -110,28 +191,31 @@ impl Scanner {
     }
 
     /// The family's number in the stream.
-    pub fn family(&self) -> u64 {
-        match self {
-            Scanner::Hdl64(_) => HDL64,
-            Scanner::Firings(_) => FIRINGS,
+    pub fn family_number(&self) -> u64 {
+        match &self.family {
+            Family::Hdl64(_) => HDL64,
+            Family::Firings(_) => FIRINGS,
         }
     }
 
     /// The family's name in reports.
     #[cfg(any(test, feature = "internals"))]
     pub fn name(&self) -> &'static str {
-        match self {
-            Scanner::Hdl64(_) => "hdl64",
-            Scanner::Firings(_) => "firings",
+        match &self.family {
+            Family::Hdl64(_) => "hdl64",
+            Family::Firings(_) => "firings",
         }
     }
 
     /// The payload of the scanner's record.
     pub fn to_payload(&self) -> Vec<u8> {
-        match self {
-            Scanner::Hdl64(scanner) => scanner.to_payload(),
-            Scanner::Firings(scanner) => scanner.to_payload(),
-        }
+        let mut payload = Vec::new();
+        write_unsigned(&mut payload, self.orientation.number());
+        payload.extend(match &self.family {
+            Family::Hdl64(scanner) => scanner.to_payload(),
+            Family::Firings(scanner) => scanner.to_payload(),
+        });
+        payload
     }
 
     /// Reads the payload of a record of this family; none if this program does not know the family.
@@ -140,104 +224,113 @@ impl Scanner {
     /// If the payload is cut short, too long, or holds values that no scanner has.
     pub fn of_record(family: u64, mut payload: &[u8]) -> Result<Option<Scanner>> {
         let input = &mut payload;
-        let scanner = match family {
-            HDL64 => Scanner::Hdl64(Hdl64::read_from(input)?),
-            FIRINGS => Scanner::Firings(Firings::read_from(input)?),
-            _ => return Ok(None),
+        if !matches!(family, HDL64 | FIRINGS) {
+            return Ok(None);
+        }
+        let orientation = Orientation::of_number(read_unsigned(input, "scanner: orientation")?)?;
+        let family = match family {
+            HDL64 => Family::Hdl64(Hdl64::read_from(input)?),
+            _ => Family::Firings(Firings::read_from(input)?),
         };
         if !input.is_empty() {
             return Err(Error::corrupt("bytes left over"));
         }
-        Ok(Some(scanner))
+        Ok(Some(Scanner { family, orientation }))
+    }
+
+    /// The family, with its constants.
+    pub fn family(&self) -> &Family {
+        &self.family
     }
 
     /// The scanner, if it is of this family: regions, registration and references of P frames support no
     /// other.
     pub fn hdl64(&self) -> Option<&Hdl64> {
-        match self {
-            Scanner::Hdl64(scanner) => Some(scanner),
-            Scanner::Firings(_) => None,
+        match &self.family {
+            Family::Hdl64(scanner) => Some(scanner),
+            Family::Firings(_) => None,
         }
     }
 
     /// A scanner of the HDL-64E family with about the same rows and columns: for pictures and regions.
     pub fn likeness(&self) -> Cow<'_, Hdl64> {
-        match self {
-            Scanner::Hdl64(scanner) => Cow::Borrowed(scanner),
-            Scanner::Firings(scanner) => Cow::Owned(scanner.likeness()),
+        match &self.family {
+            Family::Hdl64(scanner) => Cow::Borrowed(scanner),
+            Family::Firings(scanner) => Cow::Owned(scanner.likeness()),
         }
     }
 
     /// The scanner, if it is of this family.
     pub fn firings(&self) -> Option<&Firings> {
-        match self {
-            Scanner::Firings(scanner) => Some(scanner),
-            Scanner::Hdl64(_) => None,
+        match &self.family {
+            Family::Firings(scanner) => Some(scanner),
+            Family::Hdl64(_) => None,
         }
     }
 
     /// Number of rows of the range image.
     pub fn rows(&self) -> usize {
-        match self {
-            Scanner::Hdl64(scanner) => scanner.rows(),
-            Scanner::Firings(scanner) => scanner.rows(),
+        match &self.family {
+            Family::Hdl64(scanner) => scanner.rows(),
+            Family::Firings(scanner) => scanner.rows(),
         }
     }
 
     /// The grid of the file's coordinates.
     pub fn coordinates(&self) -> Coordinates {
-        match self {
-            Scanner::Hdl64(scanner) => scanner.coordinates,
-            Scanner::Firings(scanner) => scanner.build().coordinates,
+        match &self.family {
+            Family::Hdl64(scanner) => scanner.coordinates,
+            Family::Firings(scanner) => scanner.build().coordinates,
         }
     }
 
     /// One range step, in metres; 0 if ranges are float32.
     pub fn range_step_m(&self) -> f64 {
-        match self {
-            Scanner::Hdl64(scanner) => scanner.range_step_m(),
-            Scanner::Firings(scanner) => scanner.range_step_m(),
+        match &self.family {
+            Family::Hdl64(scanner) => scanner.range_step_m(),
+            Family::Firings(scanner) => scanner.range_step_m(),
         }
     }
 
     /// The longest range in a range image of this scanner, in steps.
     pub fn most_steps(&self) -> u32 {
-        match self {
-            Scanner::Hdl64(scanner) => scanner.most_steps(),
-            Scanner::Firings(_) => MOST_STEPS,
+        match &self.family {
+            Family::Hdl64(scanner) => scanner.most_steps(),
+            Family::Firings(_) => MOST_STEPS,
         }
     }
 
     /// A range of `steps`, in metres.
     pub fn metres(&self, steps: u32) -> f64 {
-        match self {
-            Scanner::Hdl64(scanner) => scanner.metres(steps),
-            Scanner::Firings(scanner) => f64::from(steps) * scanner.range_step_m(),
+        match &self.family {
+            Family::Hdl64(scanner) => scanner.metres(steps),
+            Family::Firings(scanner) => f64::from(steps) * scanner.range_step_m(),
         }
     }
 
     /// This scanner with another range step, in micrometres.
     pub fn with_range_step(self, range_step_um: u32) -> Self {
-        match self {
-            Scanner::Hdl64(scanner) => Scanner::Hdl64(scanner.with_range_step(range_step_um)),
-            Scanner::Firings(scanner) => Scanner::Firings(scanner.with_range_step(range_step_um)),
-        }
+        let family = match self.family {
+            Family::Hdl64(scanner) => Family::Hdl64(scanner.with_range_step(range_step_um)),
+            Family::Firings(scanner) => Family::Firings(scanner.with_range_step(range_step_um)),
+        };
+        Scanner { family, ..self }
     }
 
     /// Projects a scan into a lossless range image. Points that deviate from the formula by more than `reach`
     /// metres along an axis, plus half a range step, are strays.
     pub fn project(&self, cloud: &PointCloud, reach: f64) -> Projection {
-        match self {
-            Scanner::Hdl64(scanner) => hdl64::project(scanner, cloud, reach),
-            Scanner::Firings(scanner) => scanner.project(cloud, reach),
+        match &self.family {
+            Family::Hdl64(scanner) => hdl64::project(scanner, cloud, reach),
+            Family::Firings(scanner) => scanner.project(cloud, reach),
         }
     }
 
     /// The deviations of the image's points from the formula, in metres.
     pub fn misses(&self, projection: &Projection, cloud: &PointCloud) -> Vec<f64> {
-        match self {
-            Scanner::Hdl64(scanner) => scanner.misses(projection, cloud),
-            Scanner::Firings(scanner) => {
+        match &self.family {
+            Family::Hdl64(scanner) => scanner.misses(projection, cloud),
+            Family::Firings(scanner) => {
                 let miss = |found: &Return| {
                     let point = projection.point_of_cell[(found.row as usize, found.column as usize)];
                     let formula = scanner.position(found, 0.0).map(|metres| metres as f32);
@@ -260,40 +353,40 @@ impl Scanner {
         image: &mut RangeImage,
         most: u64,
     ) -> Result<()> {
-        match self {
-            Scanner::Hdl64(scanner) => {
+        match &self.family {
+            Family::Hdl64(scanner) => {
                 models.hdl64.code(coder, scanner.ticks, &mut image.columns);
                 Ok(())
             }
-            Scanner::Firings(scanner) => models.firings.code(coder, scanner, image, most),
+            Family::Firings(scanner) => models.firings.code(coder, scanner, image, most),
         }
     }
 
     /// The returns of an image in the order of the file.
     pub fn file_order(&self, image: &RangeImage) -> Vec<Return> {
-        match self {
-            Scanner::Hdl64(scanner) => image.file_order(scanner),
-            Scanner::Firings(scanner) => scanner.file_order(image),
+        match &self.family {
+            Family::Hdl64(scanner) => image.file_order(scanner),
+            Family::Firings(scanner) => scanner.file_order(image),
         }
     }
 
     /// The position of a return by the formula, in metres, at a range `offset_m` metres longer than its
     /// steps. It is what a coordinate of the file rounds or corrects.
     pub fn position(&self, found: &Return, offset_m: f64) -> [f64; 3] {
-        match self {
-            Scanner::Hdl64(scanner) => {
+        match &self.family {
+            Family::Hdl64(scanner) => {
                 scanner.position_at(found.row as usize, found.tick, scanner.metres(found.steps) + offset_m)
             }
-            Scanner::Firings(scanner) => scanner.position(found, offset_m),
+            Family::Firings(scanner) => scanner.position(found, offset_m),
         }
     }
 
     /// As [`position`](Self::position), for many returns, as float32; rounded to the file's grid if
     /// `on_grid`.
     pub fn positions(&self, returns: &[Return], offset_m: f64, on_grid: bool) -> Vec<[f32; 3]> {
-        match self {
-            Scanner::Hdl64(scanner) => hdl64::positions(scanner, returns, offset_m, on_grid),
-            Scanner::Firings(scanner) => {
+        match &self.family {
+            Family::Hdl64(scanner) => hdl64::positions(scanner, returns, offset_m, on_grid),
+            Family::Firings(scanner) => {
                 let grid = if on_grid { scanner.build().coordinates } else { Coordinates::Float32 };
                 scanner.positions(returns, offset_m, grid)
             }

@@ -8,16 +8,18 @@ pub mod motion;
 mod coordinates;
 mod family;
 mod ideal;
+mod orientation;
 mod range_image;
 
 pub use coordinates::{Coordinates, nearest_millimetre};
-pub use family::{ColumnModels, Scanner};
+pub use family::{ColumnModels, Family, Scanner};
 pub use hdl64::{
     Alignment, BeamConstants, Hdl64, RANGE_STEP_UM, Refinement, Sighting, fit, positions, project,
     project_nearest, sine_and_cosine,
 };
 pub(crate) use hdl64::{BeamPoint, split_beams};
 pub use ideal::{ideal, ideal_of};
+pub use orientation::Orientation;
 pub use range_image::{
     EXACT_RANGE_BITS, Echo, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, Projection, REACH,
     RangeImage, Return,

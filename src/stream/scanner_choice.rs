@@ -13,7 +13,7 @@ use crate::ground::error::Result;
 use crate::ground::team::pool;
 use crate::scan::{PointCloud, ScanFile, sorted};
 use crate::scanner::motion::{self, by_time};
-use crate::scanner::{self, Scanner};
+use crate::scanner::{self, Orientation, Scanner, hdl64};
 
 /// Larger files, in bytes, are left out of the sample, all of which is in memory at once.
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;
@@ -130,18 +130,23 @@ impl DriveScanners {
         if !self.are_mixed {
             return own;
         }
-        match self.track_by_points(own, &scan.cloud) {
+        let along_axes = |scanner: &Scanner| scanner.orientation().cloud_to_scanner(scan.cloud.clone());
+        match self.track_by_points(own, along_axes) {
             (track, explained) if explained >= LEAST_SHARE => track,
-            _ => self.track_by_points(own, &as_measured(scan.cloud.clone(), config.undoes_compensation())).0,
+            _ => {
+                let undoes_compensation = config.undoes_compensation();
+                self.track_by_points(own, |scanner| as_measured(along_axes(scanner), undoes_compensation)).0
+            }
         }
     }
 
-    /// The track of the scanner that explains most of these points, and how much that is; `own` if none
-    /// explains any.
-    fn track_by_points(&self, own: u8, cloud: &PointCloud) -> (u8, f64) {
+    /// The track of the scanner that explains most of the points that it would see, and how much that is;
+    /// `own` if none explains any.
+    fn track_by_points(&self, own: u8, seen_by: impl Fn(&Scanner) -> PointCloud) -> (u8, f64) {
         // Both, as units of the same model see about the same, but only one of them to the last bit.
         let explained = |scanner: &Scanner| {
-            scanner.explained_share(cloud)
+            let cloud = seen_by(scanner);
+            scanner.explained_share(&cloud)
                 + scanner.firings().map_or(0.0, |own| own.reproduced_share(&cloud.positions))
         };
         let of = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, explained);
@@ -160,7 +165,9 @@ fn scanners_of_track(frames: &[&FrameInput], config: &EncoderConfig) -> Result<V
         }
         ProjectionKind::Ideal { columns, range_step_um } => {
             let seen = scanner_seen(frames, config)?;
-            vec![Scanner::Hdl64(scanner::ideal_of(seen.as_ref(), columns, range_step_um))]
+            let orientation = seen.as_ref().map_or_else(Orientation::default, Scanner::orientation);
+            let ideal = scanner::ideal_of(seen.as_ref(), columns, range_step_um);
+            vec![Scanner::from(ideal).oriented(orientation)]
         }
     })
 }
@@ -184,6 +191,8 @@ pub(crate) fn scanner_seen(frames: &[&FrameInput], config: &EncoderConfig) -> Re
 #[derive(Clone, Copy)]
 struct Sampling<'a> {
     headerless: Option<&'a HeaderlessLayout>,
+    /// The axes along which points are returned.
+    orientation: Orientation,
     /// Whether points are moved back to where they were measured.
     undoes_compensation: bool,
     /// Number of frames to begin with.
@@ -195,6 +204,7 @@ impl<'a> Sampling<'a> {
     fn of(config: &'a EncoderConfig) -> Self {
         Sampling {
             headerless: config.headerless.as_ref(),
+            orientation: Orientation::default(),
             undoes_compensation: config.undoes_compensation(),
             frames: config.sample_frames(),
             threads: config.threads,
@@ -214,7 +224,8 @@ impl<'a> Sampling<'a> {
             return Ok(None);
         }
         let scan = frame.clone().into_frame(self.headerless)?.scan;
-        Ok(Some(ScanFile { cloud: as_measured(scan.cloud, self.undoes_compensation), ..scan }))
+        let cloud = self.orientation.cloud_to_scanner(scan.cloud);
+        Ok(Some(ScanFile { cloud: as_measured(cloud, self.undoes_compensation), ..scan }))
     }
 }
 
@@ -223,7 +234,25 @@ fn fitted(frames: &[&FrameInput], sampling: Sampling) -> Result<Vec<Scanner>> {
     /// Number of frames.
     const SAMPLE_OF_MIXED: usize = 16;
     pool(sampling.threads)?.install(|| {
-        let (found, explain_all) = fit_all(sampling.sample(frames, sampling.frames)?);
+        let sample = sampling.sample(frames, sampling.frames)?;
+        if let Some(orientation) =
+            largest(&sample).and_then(|scan| Orientation::of_rows(&scan.cloud.positions))
+            && sampling.orientation.is_default()
+            && !orientation.is_default()
+        {
+            let turned = Sampling { orientation, ..sampling };
+            let is_evident = |scan: &ScanFile| hdl64::is_evident(&scan.cloud.positions);
+            if largest(&turned.sample(frames, turned.frames)?).is_some_and(is_evident) {
+                let found = fitted(frames, turned)?.into_iter();
+                return Ok(found
+                    .map(|scanner| {
+                        let orientation = scanner.orientation().after(orientation);
+                        scanner.oriented(orientation)
+                    })
+                    .collect());
+            }
+        }
+        let (found, explain_all) = fit_all(sample);
         if sampling.frames >= frames.len().min(SAMPLE_OF_MIXED) {
             return Ok(found);
         }
@@ -234,6 +263,11 @@ fn fitted(frames: &[&FrameInput], sampling: Sampling) -> Result<Vec<Scanner>> {
         };
         if are_mixed { Ok(fit_all(sampling.sample(frames, SAMPLE_OF_MIXED)?).0) } else { Ok(found) }
     })
+}
+
+/// The scan of a sample with the most returns.
+fn largest(sample: &[ScanFile]) -> Option<&ScanFile> {
+    sample.iter().max_by_key(|scan| scan.cloud.measured())
 }
 
 /// Whether the first two of these frames are of different scanners: if two scanners take turns, a sample that
@@ -267,19 +301,20 @@ fn without_scans_of(scanner: &Scanner, mut scans: Vec<ScanFile>) -> Vec<ScanFile
 /// Whether this scanner reproduces most of one of these scans to the last bit.
 fn reproduces_any<'s>(scanner: &Scanner, scans: impl IntoIterator<Item = &'s ScanFile>) -> bool {
     let own = scanner.firings();
-    own.is_some_and(|own| scans.into_iter().any(|scan| own.reproduces_most(&scan.cloud.positions)))
+    let along_axes = |scan: &ScanFile| scanner.orientation().cloud_to_scanner(scan.cloud.clone());
+    own.is_some_and(|own| scans.into_iter().any(|scan| own.reproduces_most(&along_axes(scan).positions)))
 }
 
 /// Whether a scan is of this scanner. `reproduces`: it reproduces others of the folder to the last bit.
 fn is_scan_of(scanner: &Scanner, scan: &ScanFile, reproduces: bool) -> bool {
     let own = scanner.firings();
+    let cloud = &scanner.orientation().cloud_to_scanner(scan.cloud.clone());
     // Units of the same model see about the same, but only one of them to the last bit.
-    let reproduced =
-        own.filter(|_| reproduces).map_or(1.0, |own| own.reproduced_share(&scan.cloud.positions));
+    let reproduced = own.filter(|_| reproduces).map_or(1.0, |own| own.reproduced_share(&cloud.positions));
     // A scan that was moved by time stamps can be attributed to this scanner only after it is moved back.
-    let is_moved = || own.is_some_and(|own| by_time::undo(&scan.cloud, own).is_some());
-    let is_seen = || reproduced.min(scanner.explained_share(&scan.cloud)) >= LEAST_SHARE;
-    scan.cloud.positions.is_empty() || is_seen() || is_moved()
+    let is_moved = || own.is_some_and(|own| by_time::undo(cloud, own).is_some());
+    let is_seen = || reproduced.min(scanner.explained_share(cloud)) >= LEAST_SHARE;
+    cloud.positions.is_empty() || is_seen() || is_moved()
 }
 
 /// Scanners that together explain the scans of a sample, as far as fits succeed, and whether they explain

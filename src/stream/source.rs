@@ -58,7 +58,7 @@ impl StoredScanner {
 
 /// The record of a scanner.
 pub(crate) fn record_of(scanner: &Scanner) -> ScannerRecord {
-    ScannerRecord { family: scanner.family(), payload: scanner.to_payload() }
+    ScannerRecord { family: scanner.family_number(), payload: scanner.to_payload() }
 }
 
 /// The error about a group whose scanner is missing.

@@ -138,7 +138,7 @@ fn stamped() -> Parts {
     points = moved_by_stamps(&points, &times, [2e-5, -3e-5, 4e-5], [1e-4, 2e-4, -3e-5]);
     points[30][2] += 0.25;
     let file = pcd_stamped(&sorted(&points, &times), &sorted(&rows, &times), &times);
-    let known = Known { scanner: Some(Scanner::Firings(scanner)), frames: Vec::new() };
+    let known = Known { scanner: Some(Scanner::from(scanner)), frames: Vec::new() };
     take_apart(&known.encode(&[("0.pcd".to_owned(), file)], &EncoderConfig::default()))
 }
 
@@ -168,7 +168,7 @@ pub static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| {
             images = images.into_iter().map(with_echoes).collect();
         }
         let frames = images.iter().map(|image| points(&scanner, image)).collect();
-        Known { scanner: Some(Scanner::Firings(scanner)), frames }
+        Known { scanner: Some(Scanner::from(scanner)), frames }
     });
     [beams].into_iter().chain(firings).collect()
 });
@@ -177,7 +177,7 @@ impl Known {
     /// The article's scanner, with a small image.
     fn ideal() -> Self {
         let scanner = lidarpc::internals::scanner::ideal_of(None, 200, 10_000);
-        Known { scanner: Some(Scanner::Hdl64(scanner)), frames: Vec::new() }
+        Known { scanner: Some(Scanner::from(scanner)), frames: Vec::new() }
     }
 
     /// Encodes files as a stream of one group, with this scanner.

@@ -16,6 +16,7 @@ FILE, COLUMNS, OCCUPANCY, RANGE, CORRECTION, INTENSITY, ORDER, STRAYS, CHANNELS,
 CONTOUR, REGIONS, RESIDUAL, COMPENSATION, BYTES, BLANKS, WORLD, ECHOES, SORTED, STAMPED = range(11, 21)
 
 FAMILIES = {1: Hdl64, 2: Firings}
+AXES = (0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)
 
 
 def _crc_table():
@@ -209,7 +210,14 @@ def scanner_of(reader):
     family = reader.varint()
     payload = Reader(reader.take(reader.varint()))
     reader.end()
-    return FAMILIES[family](payload) if family in FAMILIES else Unknown(family)
+    if family not in FAMILIES:
+        return Unknown(family)
+    orientation = payload.varint()
+    if orientation >= 8 * len(AXES):
+        raise Refused("no such orientation")
+    scanner = FAMILIES[family](payload)
+    scanner.orientation = AXES[orientation // 8], [orientation >> axis & 1 for axis in range(3)]
+    return scanner
 
 
 def group_entry(group):

@@ -225,6 +225,8 @@ class Decoder:
         elif self.is_next(kinds.STAMPED):
             fields = list(zip(layout.channels, channels))
             positions = moved_by_stamps(Reader(self.next_section(kinds.STAMPED)), positions, fields)
+        if self.scanner:
+            positions = [along_axes_of_file(position, *self.scanner.orientation) for position in positions]
         found = files.records_of(layout, records, positions, beside.intensities, channels)
         if self.is_next(kinds.SORTED):
             payload = Reader(self.next_section(kinds.SORTED))
@@ -490,6 +492,14 @@ def moved_by_stamps(reader, positions, channels):
             position = put_right(position, units)
         found.append(position)
     return found
+
+
+def along_axes_of_file(position, axes, reversed_axes):
+    """3.1; values are bits of float32."""
+    of_file = [None] * 3
+    for axis, value, is_reversed in zip(axes, position, reversed_axes):
+        of_file[axis] = value ^ is_reversed << 31
+    return of_file
 
 
 def in_sorted_order(values, width):

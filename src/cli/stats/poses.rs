@@ -5,6 +5,7 @@ use std::path::Path;
 
 use crate::frame::DecodedImage;
 use crate::inter::registration::{Pose, RegistrationConfig, RigidMotion, Surface, register};
+use crate::scanner::Orientation;
 use crate::stream::{self, DecodeOptions, DecodedFrame};
 use anyhow::Result;
 
@@ -70,7 +71,8 @@ impl Way {
             self.to_first = self.last.motion().inverse().then(&self.to_first);
         }
         self.before = frame.image.or_else(|| self.before.take());
-        self.to_first
+        let orientation = self.before.as_ref().map(|image| image.scanner.orientation());
+        along_axes_of_file(&self.to_first, orientation.unwrap_or_default())
     }
 
     fn register(&self, current: &DecodedImage) -> Option<Pose> {
@@ -79,6 +81,18 @@ impl Way {
         let config = RegistrationConfig::default();
         let found = register(&surface, &current.image, current.scanner.hdl64()?, &self.last, &config);
         found.map(|found| found.pose)
+    }
+}
+
+/// A motion along the axes of the scanner as one along those of the file.
+fn along_axes_of_file(motion: &RigidMotion, orientation: Orientation) -> RigidMotion {
+    let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|axis| {
+        let axis = orientation.to_scanner(axis);
+        orientation.to_file(motion.rotation.map(|row| (0..3).map(|along| row[along] * axis[along]).sum()))
+    });
+    RigidMotion {
+        rotation: [0, 1, 2].map(|row| columns.map(|column| column[row])),
+        translation: orientation.to_file(motion.translation),
     }
 }
 

@@ -8,7 +8,7 @@ use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
 use crate::inter::{MOST_CELLS, Past, Reference};
-use crate::scanner::Scanner;
+use crate::scanner::{Family, Scanner};
 
 /// The last frame of the group with a range image.
 #[derive(Clone, Default)]
@@ -35,9 +35,9 @@ impl PastFrame {
             return Err(Error::corrupt(format!("a P frame of {cells} cells, but at most {MOST_CELLS}")));
         }
         let motion = frame.parameters.motion;
-        let scanner = match scanner {
-            Scanner::Hdl64(scanner) => scanner,
-            Scanner::Firings(scanner) => {
+        let scanner = match scanner.family() {
+            Family::Hdl64(scanner) => scanner,
+            Family::Firings(scanner) => {
                 return Ok(Some(past.same_directions(&frame.image.columns, scanner.build().ticks)));
             }
         };

@@ -144,13 +144,13 @@ fn reference_image(
     scanner: &Scanner,
     config: &EncoderConfig,
 ) -> (Scanner, RangeImage) {
-    let filtered = config.outliers.map(|filter| filter.filter(original));
-    let cloud = filtered.as_ref().unwrap_or(original);
-    match (config.projection, scanner) {
-        (ProjectionKind::Ideal { .. }, Scanner::Hdl64(ideal)) => {
+    let filtered = config.outliers.map_or_else(|| original.clone(), |filter| filter.filter(original));
+    let cloud = &scanner.orientation().cloud_to_scanner(filtered);
+    match (config.projection, scanner.hdl64()) {
+        (ProjectionKind::Ideal { .. }, Some(ideal)) => {
             let ideal = ideal.clone().with_range_step(FLOAT_RANGES);
             let image = project_nearest(&ideal, cloud).image;
-            (Scanner::Hdl64(ideal), image)
+            (Scanner::from(ideal), image)
         }
         _ => {
             let scanner = scanner.clone().with_range_step(RANGE_STEP_UM);

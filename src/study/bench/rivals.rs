@@ -155,9 +155,9 @@ pub fn tu(
     on_frame: &(dyn Fn() + Sync),
 ) -> Result<Rival> {
     let coder = Coder { method, scanner, registration: base.registration };
-    let of_family = Scanner::Hdl64(scanner.clone());
+    let of_family = Scanner::from(scanner.clone());
     let floats = scanner.clone().with_range_step(FLOAT_RANGES);
-    let in_floats = Scanner::Hdl64(floats.clone());
+    let in_floats = Scanner::from(floats.clone());
     let mut rival = Rival::default();
     for run in sample.clouds.chunks(sample.run.max(1)) {
         let start = Instant::now();

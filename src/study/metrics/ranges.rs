@@ -103,8 +103,7 @@ mod tests {
 
     #[test]
     fn errors_are_range_differences_of_returns_in_both_images() {
-        let (millimetres, centimetres) =
-            (Scanner::Hdl64(ideal(100, 1000)), Scanner::Hdl64(ideal(100, 10_000)));
+        let (millimetres, centimetres) = (Scanner::from(ideal(100, 1000)), Scanner::from(ideal(100, 10_000)));
         let original = image(&[(0, 1003), (1, 2000), (2, 0), (3, 4004), (4, 0)]);
         let decoded = image(&[(0, 100), (1, 0), (2, 7), (3, 400), (4, 0)]);
         let mut errors = RangeErrors::default();
@@ -117,7 +116,7 @@ mod tests {
 
     #[test]
     fn columns_are_matched_by_their_ticks() {
-        let scanner = Scanner::Hdl64(ideal(100, 1000));
+        let scanner = Scanner::from(ideal(100, 1000));
         let mut errors = RangeErrors::default();
         errors.add(
             (&scanner, &image(&[(1, 10), (5, 20), (7, 30)])),

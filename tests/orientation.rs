@@ -1,0 +1,77 @@
+//! Files whose axes are not those of the scanner: y up, z ahead, or reversed.
+
+use crate::common::bound::{bounded, keeps_the_bound};
+use crate::common::firings::{OusterDriver, ouster};
+use crate::common::formats::kitti;
+use crate::common::scans::{Points, compensated, scans};
+use crate::common::streams::at_level;
+use crate::common::{File, round_trip, take_apart};
+use lidarpc::internals::frame::settings::EncoderConfig;
+use lidarpc::internals::scanner::{Orientation, Scanner};
+use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
+
+/// The number of orientations.
+const COUNT: u64 = 48;
+
+fn all() -> Vec<u64> {
+    (0..COUNT).collect()
+}
+
+fn files(scans: &[Points], orientation: Orientation) -> Vec<File> {
+    let point = |&[x, y, z, intensity]: &[f32; 4]| {
+        let [x, y, z] = orientation.to_file([x, y, z]);
+        [x, y, z, intensity]
+    };
+    let file = |points: &Points| kitti(&points.iter().map(point).collect::<Vec<_>>());
+    scans.iter().enumerate().map(|(number, points)| (format!("{number}.bin"), file(points))).collect()
+}
+
+/// Some scans of a simulated scanner, with every `thinning`-th firing.
+fn simulated(scanner: SynthScanner, thinning: usize) -> Vec<Points> {
+    scans(&SynthConfig { scanner, seed: 3, frames: 2, thinning, ..SynthConfig::default() })
+}
+
+/// Files with any axes take about as many bytes as those with the scanner's. `is_unique`: the points tell the
+/// orientation.
+fn takes_no_more_bytes(scans: &[Points], numbers: &[u64], is_unique: bool) {
+    let config = EncoderConfig::default();
+    let upright = round_trip(&files(scans, Orientation::default()), &config).len();
+    for number in numbers {
+        let orientation = Orientation::of_number(*number).unwrap();
+        let stream = round_trip(&files(scans, orientation), &config);
+        println!("{orientation}: {} instead of {upright} bytes", stream.len());
+        assert!(stream.len() <= upright + upright / 25, "{orientation}: {} bytes", stream.len());
+        let record = &take_apart(&stream).0[0];
+        let found = Scanner::of_record(record.family, &record.payload).unwrap().unwrap();
+        assert!(!is_unique || found.orientation() == orientation, "{}", found.orientation());
+    }
+}
+
+#[test]
+fn an_hdl_64e_is_found_with_any_axes() {
+    takes_no_more_bytes(&simulated(SynthScanner::Hdl64, 8), &all(), true);
+}
+
+#[test]
+fn an_hdl_64e_is_found_with_other_axes_if_its_scans_were_compensated() {
+    let moved = |scan: &Points| compensated(scan, [0.001, 0.0, 0.03], [-0.8, 0.1, 0.02]);
+    let scans: Vec<_> = simulated(SynthScanner::Hdl64, 4).iter().map(moved).collect();
+    takes_no_more_bytes(&scans, &[3, 21, 40], true);
+}
+
+#[test]
+fn a_scanner_of_firings_is_found_with_any_axes() {
+    // Mirror images may be taken for those of a scanner upside down.
+    takes_no_more_bytes(&simulated(SynthScanner::Vlp16, 2), &all(), false);
+    takes_no_more_bytes(&[ouster(32, OusterDriver::Ros)], &[5, 14, 27], false);
+}
+
+#[test]
+fn other_levels_and_modes_have_the_axes_of_the_file_too() {
+    let scans = simulated(SynthScanner::Vlp16, 4);
+    let files = files(&scans, Orientation::of_number(11).unwrap());
+    for level in [1, 3, 9] {
+        round_trip(&files, &at_level(level));
+    }
+    keeps_the_bound(&files, &bounded(10_000), 10_000);
+}
