@@ -70,7 +70,12 @@ impl<'m> Point<'m> {
 
     /// Whether a scanner's recipe reproduces the point's coordinates in the file to the last bit, along these
     /// axes.
-    fn is_reproduced_by(&self, scanner: &Firings, found: &Return, axes: std::ops::Range<usize>) -> bool {
+    pub(super) fn is_reproduced_by(
+        &self,
+        scanner: &Firings,
+        found: &Return,
+        axes: std::ops::Range<usize>,
+    ) -> bool {
         let Some(Moved { by, position, .. }) = self.moved else {
             return scanner.reproduces(found, &self.position, axes);
         };

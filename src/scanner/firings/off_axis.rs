@@ -5,15 +5,16 @@ use std::f64::consts::TAU;
 
 use rayon::prelude::*;
 
+use super::blur::Blur;
 use super::constants::{Point, TRIED, best_of, exact_points};
-use super::fit::{ON_CONE, ScanFacts, elevations, fewest_of, narrow_heaps, range_step, strength};
+use super::fit::{ON_CONE, ScanFacts, elevations, fewest_of, narrow_heaps, phase, range_step, strength};
 use super::order::{lines, order};
 use super::projection::{Place, nearest};
 use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
 use crate::ground::angle;
 use crate::ground::rounding::round_ties_even;
-use crate::scan::Channel;
-use crate::scanner::{REACH, Return};
+use crate::scan::{Channel, PointCloud};
+use crate::scanner::{Coordinates, REACH, Return, thinned};
 
 /// A manufacturer's scanner whose beams start away from the axis.
 struct Maker {
@@ -78,9 +79,11 @@ impl ScanFacts<'_> {
     pub(super) fn off_axis(&self) -> Option<Vec<Firings>> {
         /// Number of points by which the manufacturer is determined.
         const SAMPLED: usize = 6000;
-        let step = (self.points.len() / SAMPLED).max(1);
-        let positions = &self.cloud.positions;
-        let sample: Vec<[f32; 3]> = positions.iter().step_by(step).copied().collect();
+        let sample: Vec<&Point> = thinned(&self.points, SAMPLED).collect();
+        let positions: Vec<[f32; 3]> =
+            sample.iter().map(|point| point.position.map(|metres| metres as f32)).collect();
+        // How points were moved may not be known to the last bit yet.
+        let are_moved = sample.iter().any(|point| point.moved.is_some());
         let by_key = self.rows_by_channel();
         let candidates = MAKERS.par_iter().filter_map(|maker| {
             let rows = match &by_key {
@@ -93,26 +96,30 @@ impl ScanFacts<'_> {
             let of_recipe = |recipe: Recipe| {
                 let scanner = self.of_maker(maker, recipe, &rows)?;
                 let reach = 0.5 * scanner.range_step_m() + 1e-5;
-                let places = scanner.places(&sample, reach);
+                let places = scanner.places(&positions, reach);
                 let is_exact = |place: &&Place| {
                     let found =
                         Return { row: place.row, column: 0, tick: place.tick, steps: place.steps, echo: 0 };
-                    scanner.reproduces(&found, &sample[place.point as usize].map(f64::from), 0..3)
+                    sample[place.point as usize].is_reproduced_by(&scanner, &found, 0..3)
                 };
                 let exact = places.iter().filter(is_exact).count();
                 Some((scanner, exact, places.len()))
             };
-            let (scanner, exact, placed) = of_recipe(maker.recipe)?;
+            let usual = of_recipe(maker.recipe)?;
+            let (_, exact, placed) = usual;
             let early = (maker.recipe == Recipe::RoboSense && 2 * exact < placed)
                 .then(|| of_recipe(Recipe::RoboSenseEarly))
                 .flatten()
-                .filter(|(_, early, _)| *early > exact);
-            Some(early.map_or((scanner, exact), |(scanner, exact, _)| (scanner, exact)))
+                .filter(|(_, early, _)| *early > exact && (!are_moved || 10 * early > placed));
+            Some(early.unwrap_or(usual))
         });
-        let candidates: Vec<(Firings, usize)> = candidates.collect();
+        let candidates: Vec<(Firings, usize, usize)> = candidates.collect();
         // A scanner that reproduces no more than one point in ten is rejected.
-        let best = candidates.into_iter().max_by_key(|(_, exact)| *exact);
-        let (scanner, _) = best.filter(|(_, exact)| 10 * exact > sample.len())?;
+        let best = candidates.into_iter().max_by_key(|(_, exact, placed)| (*exact, *placed));
+        let (scanner, ..) = best.filter(|(_, exact, placed)| match are_moved {
+            true => 2 * placed > sample.len(),
+            false => 10 * exact > sample.len(),
+        })?;
         let (sequence, rows, ticks) = (self.sequence(&scanner), scanner.rows(), scanner.build.ticks);
         if let Some(order) = order(&sequence, rows, ticks, self.slack(ticks)) {
             let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
@@ -236,7 +243,11 @@ impl ScanFacts<'_> {
         };
         let bare = Firings::without_lasers(build.clone());
         let pairs = lasers.par_iter().zip(&rows);
-        let mut lasers: Vec<Laser> = pairs.map(|(lasers, row)| sharpened(&bare, lasers, row)).collect();
+        let mut lasers: Vec<Laser> =
+            pairs.filter_map(|(lasers, row)| sharpened(&bare, lasers, row)).collect();
+        if lasers.is_empty() {
+            return None;
+        }
         lasers.sort_unstable_by_key(|laser| -laser.elevation);
         lasers.dedup_by_key(|laser| laser.elevation);
         let rows_of_slots = (0..lasers.len() as u32).collect();
@@ -259,6 +270,64 @@ impl Maker {
 
 /// In hundredths of degrees: the largest offset that is tried.
 const FARTHEST: i32 = 6000;
+/// Where the beams of a manufacturer's scanner start that start this far from the axis, in metres, and by which
+/// part of a tick the azimuths of its lasers are more than whole ticks. The points are seen from the height at
+/// which the lines of the beams cross. `None` if there is no such scanner.
+pub(super) fn known_start(points: &[Point], along: f64) -> Option<(Origin, f64)> {
+    /// Number of lasers, and of points of each, by which azimuths are compared.
+    const ROWS: usize = 8;
+    const POINTS: usize = 60;
+    /// Hundredths of degrees between offsets that are tried at first.
+    const COARSE: i32 = 10;
+    /// In metres: azimuths of nearer points are less accurate.
+    const NEAREST: f64 = 1.0;
+    /// Smallest mean coherence of a laser's azimuths with ticks.
+    const COHERENT: f64 = 0.7;
+    let known = MAKERS.par_iter().filter(|maker| maker.is_like([along, maker.origin.metres()[1]]));
+    let starts = known.filter_map(|maker| {
+        let [_, up] = maker.origin.metres();
+        let raised = points.iter().filter_map(|point| {
+            let [x, y, z] = point.position;
+            Point::new([x, y, z + up], None)
+        });
+        let cloud = PointCloud::default();
+        let facts = ScanFacts {
+            cloud: &cloud,
+            numbers: Vec::new().into(),
+            points: raised.collect::<Vec<_>>().into(),
+            measured: points.len(),
+            coordinates: Coordinates::Float32,
+            blur: Blur::default(),
+            nearest: 0.0,
+        };
+        let mut rows = facts.rows_by_elevation(maker)?;
+        rows.iter_mut().for_each(|row| row.retain(|point| point.range > NEAREST));
+        rows.sort_by_key(|row| std::cmp::Reverse(row.len()));
+        let of_rows = rows.iter().take(ROWS).map(|row| {
+            let few: Vec<&Point> = thinned(row, POINTS).collect();
+            let of_offset =
+                |offset: i32| phase(few.iter().map(|point| maker.undo(point, offset).1 * IN_TICKS));
+            let best = |offsets: &mut dyn Iterator<Item = i32>| {
+                let tried = offsets.map(|offset| (offset, of_offset(offset)));
+                tried.max_by(|a, b| a.1.1.total_cmp(&b.1.1)).unwrap_or_default()
+            };
+            match maker.offset {
+                Some(offset) => of_offset(offset),
+                None => {
+                    let (near, _) = best(&mut (-FARTHEST..=FARTHEST).step_by(COARSE as usize));
+                    best(&mut (near - COARSE..=near + COARSE)).1
+                }
+            }
+        });
+        let of_rows: Vec<(f64, f64)> = of_rows.collect();
+        let coherence = of_rows.iter().map(|(_, strength)| strength).sum::<f64>() / ROWS as f64;
+        let (common, _) = phase(of_rows.iter().map(|(phase, _)| *phase));
+        Some((coherence, maker.origin, common))
+    });
+    let best = starts.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(coherence, ..)| *coherence > COHERENT)?;
+    Some((best.1, best.2))
+}
+
 /// A hundredth of a degree, in [`ANGLE_UNIT`].
 const HUNDREDTH: i64 = (0.01 / ANGLE_UNIT) as i64;
 /// Ticks of a radian.
@@ -357,8 +426,9 @@ impl Maker {
     }
 }
 
-/// Of some lasers and their neighbours, the one that reproduces the most points to the last bit.
-fn sharpened(bare: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
+/// Of some lasers and their neighbours, the one that reproduces the most points to the last bit. `None` if
+/// there are none.
+fn sharpened(bare: &Firings, lasers: &[Laser], points: &[Point]) -> Option<Laser> {
     /// Number of points by which lasers are preselected.
     const FEW: usize = 12;
     let some = |most: usize| -> Vec<Point> {
@@ -369,7 +439,7 @@ fn sharpened(bare: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
         elevation: laser.elevation + elevation * HUNDREDTH,
         azimuth: laser.azimuth + azimuth * HUNDREDTH,
     };
-    let mut best = (0, lasers[0]);
+    let mut best = (0, *lasers.first()?);
     for laser in lasers.iter().flat_map(|laser| (-1..=1).map(move |off| moved(laser, off, 0))) {
         let exact = exact_points(bare, laser, &few, 0..3, best.0 + 1);
         if exact > best.0 {
@@ -381,7 +451,7 @@ fn sharpened(bare: &Firings, lasers: &[Laser], points: &[Point]) -> Laser {
     }
     let beside = (-2..=2).flat_map(|azimuth| (-1..=1).map(move |elevation| (azimuth, elevation)));
     let beside = beside.map(|(azimuth, elevation)| moved(&best.1, azimuth, elevation));
-    best_of(bare, std::iter::once(best.1).chain(beside), &more, best.1).0
+    Some(best_of(bare, std::iter::once(best.1).chain(beside), &more, best.1).0)
 }
 
 /// The distance from the axis and the height at which the lines of the lasers cross, in metres; `None` if

@@ -21,12 +21,15 @@ use crate::scanner::firings::constants::{Moved, MovedBy, Point, TRIED, by_rows};
 use crate::scanner::firings::fit::{
     ON_CONE, completed, elevations, fit_by, fit_moved, in_ticks, phase, range_step, ticks,
 };
+use crate::scanner::firings::off_axis::known_start;
 use crate::scanner::firings::order::{FiringOrder, lines, order, vlp_16};
-use crate::scanner::firings::projection::nearest;
+use crate::scanner::firings::projection::{Sight, nearest};
 use crate::scanner::firings::recipe::{Axes, whole_steps};
 use crate::scanner::firings::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
 use crate::scanner::{Coordinates, Return, thinned};
 
+/// Ticks a turn of scanners whose beams start away from the axis.
+const HUNDREDTHS: f64 = 36_000.0;
 /// Number of points that are used for counting and comparing.
 const SAMPLE: usize = 8000;
 /// The same where every bit counts.
@@ -39,10 +42,12 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     let positions = &scan.cloud.positions;
     let nothing = of_nothing(positions);
     let is_return = |position: &[f32; 3]| Some(*position) != nothing && may_be_return(position);
-    let start = frame_of(&scan.cloud, is_return)?;
+    let (start, along) = frame_of(&scan.cloud, is_return)?;
     let returns: Vec<[f32; 3]> = positions.iter().filter(|position| is_return(position)).copied().collect();
-    let seen = Seen::of(&returns, &start)?;
-    let (scanner, seen, start) = seen.with_recipe(&start)?;
+    let (scanner, seen, start) = match along {
+        0.0 => Seen::of(&returns, &start)?.with_recipe(&start)?,
+        _ => Seen::off_axis(&scan.cloud, nothing, &start, along)?,
+    };
     let sharpened = |seen: &Seen, start: &Mounting| {
         let mut pairs = seen.pairs(&scanner);
         pairs.extend(nothing.map(|position| ([0.0; 3], position)));
@@ -66,8 +71,33 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
         let (fitted, share) = fit_moved(cloud, &moved.collect::<Vec<_>>())?;
         let values: Vec<f32> = thinned(positions, SAMPLE).flatten().copied().collect();
         let build = Build { coordinates: Coordinates::finest_of(&values), ..fitted.build.clone() };
-        Some((Firings { build, ..fitted }.mounted(mounting), share))
+        let fitted = Firings { build, ..fitted }.mounted(mounting);
+        let reproduced = |scanner: &Firings| scanner.reproduced(positions).0;
+        let with_lasers = fitted.with_lasers_of(&mounted);
+        let better = with_lasers.filter(|with_lasers| reproduced(with_lasers) > reproduced(&fitted));
+        Some((better.unwrap_or(fitted), share))
     })
+}
+
+impl Firings {
+    /// This scanner with the lasers of another one, but for whole ticks. `None` if they are not the same.
+    ///
+    /// Where roundings do not tell azimuth 0, few points are reproduced, and digits of a laser's angles that
+    /// reproduce a few more of them may be wrong.
+    fn with_lasers_of(&self, other: &Firings) -> Option<Firings> {
+        let tick = (360.0 / f64::from(self.build.ticks) / ANGLE_UNIT).round() as i64;
+        let lasers = self.lasers.iter().zip(&other.lasers).map(|(own, other)| {
+            let ticks = (own.azimuth - other.azimuth + tick / 2).div_euclid(tick);
+            let azimuth = other.azimuth + ticks * tick;
+            let is_same = |a: i64, b: i64| (a - b).abs() < THOUSANDTH;
+            let laser = Laser { azimuth, ..*other };
+            (is_same(own.elevation, laser.elevation) && is_same(own.azimuth, azimuth)).then_some(laser)
+        });
+        let lasers: Option<Vec<Laser>> = lasers.collect();
+        let lasers = lasers.filter(|_| self.lasers.len() == other.lasers.len())?;
+        let scanner = Firings::new(self.build.clone(), lasers, self.rows_of_slots.clone());
+        Some(scanner.line_by_line(self.rows_of_lines.clone()).lagging(self.lags.clone()))
+    }
 }
 
 /// Whether a point of a file may be a return: others are not finite, too far away for any scanner, or at the
@@ -96,8 +126,9 @@ fn vector(position: &[f32; 3]) -> Vector3<f64> {
     Vector3::from(position.map(f64::from))
 }
 
-/// The mounting of the scanner that measured a cloud, except for the direction of its azimuth 0.
-fn frame_of(cloud: &PointCloud, is_return: impl Fn(&[f32; 3]) -> bool) -> Option<Mounting> {
+/// The mounting of the scanner that measured a cloud, except for the direction of its azimuth 0, and how far
+/// from the axis its beams start, in metres.
+fn frame_of(cloud: &PointCloud, is_return: impl Fn(&[f32; 3]) -> bool) -> Option<(Mounting, f64)> {
     const FEWEST: usize = 500;
     let records = (0..cloud.positions.len()).filter(|&at| is_return(&cloud.positions[at]));
     let records: Vec<usize> = records.collect();
@@ -121,7 +152,8 @@ fn frame_of(cloud: &PointCloud, is_return: impl Fn(&[f32; 3]) -> bool) -> Option
     let azimuths: Vec<f64> = points.iter().map(azimuth).collect();
     let steps = azimuths.windows(2).map(|pair| pair[1] - pair[0]);
     let turned: f64 = steps.map(|step| step - round_ties_even(step / TAU) * TAU).sum();
-    Some(if turned > 0.0 { Mounting::of(&Pose { axis: -pose.axis, ..pose }) } else { upright })
+    let mounting = if turned > 0.0 { Mounting::of(&Pose { axis: -pose.axis, ..pose }) } else { upright };
+    Some((mounting, pose.along))
 }
 
 impl Mounting {
@@ -211,6 +243,61 @@ impl Seen {
         let found: Vec<Measurement> = found.collect();
         let points = thinned(&found, 4 * SAMPLE).copied().collect();
         Some(Seen { build, lasers: lasers.collect(), points, parts })
+    }
+
+    /// The scanner of a manufacturer whose beams start away from the axis, and its measurements and mounting;
+    /// `along`: how far away, in metres. The mounting has the height at which the lines of the beams cross.
+    fn off_axis(
+        cloud: &PointCloud,
+        nothing: Option<[f32; 3]>,
+        mounting: &Mounting,
+        along: f64,
+    ) -> Option<(Firings, Self, Mounting)> {
+        /// A direction that misses no more than this part of what others miss is no chance.
+        const WORTH: f64 = 0.93;
+        /// Number of points by which the start of the beams is told.
+        const FEW: usize = 40_000;
+        let undone = |mounting: &Mounting, position: &[f32; 3]| match Some(*position) == nothing {
+            true => [0.0; 3],
+            false => mounting.undone(position.map(f64::from)),
+        };
+        let points =
+            thinned(&cloud.positions, FEW).map(|position| Point::new(undone(mounting, position), None));
+        let (origin, phase) = known_start(&points.flatten().collect::<Vec<_>>(), along)?;
+        let [_, up] = origin.metres();
+        let mut lower = *mounting;
+        lower.rows.iter_mut().for_each(|row| row[3] -= up * row[2]);
+        let start = lower.turned(-phase * TAU / HUNDREDTHS);
+        let moved = cloud.positions.iter().map(|position| Moved {
+            measured: undone(&start, position),
+            by: MovedBy::Mounting(start),
+            position: *position,
+        });
+        let (found, _) = fit_moved(cloud, &moved.collect::<Vec<_>>())?;
+        let sight = Sight::new(&found);
+        let measurement = |position: &[f32; 3]| {
+            let there = undone(&start, position);
+            let (measured, formula) = sight.nearest(there)?;
+            let is_near = (0..3).all(|axis| (formula[axis] - there[axis]).abs() < found.range_step_m());
+            (is_near && measured.steps > 0).then_some((measured, *position))
+        };
+        let points = thinned(&cloud.positions, 4 * SAMPLE).filter_map(measurement).collect();
+        let seen = Seen { build: found.build.clone(), lasers: found.lasers.clone(), points, parts: 1 };
+        let recipes: &[Recipe] = match found.build.recipe {
+            Recipe::RoboSense => &[Recipe::RoboSense, Recipe::RoboSenseEarly],
+            _ => &[found.build.recipe],
+        };
+        let directions = recipes.iter().filter_map(|recipe| {
+            let quarter = if recipe.axes() == Axes::YAhead { FRAC_PI_2 } else { 0.0 };
+            seen.direction(*recipe, 0, &start.turned(quarter))
+        });
+        let direction = directions.min_by(|a, b| a.chance().total_cmp(&b.chance()))?;
+        let (recipe, later, mounting) = match direction.chance() < WORTH {
+            true => (direction.recipe, direction.later, direction.mounting),
+            false => (found.build.recipe, 0, start),
+        };
+        let seen = seen.later(later);
+        Some((seen.scanner(recipe, 0), seen, mounting))
     }
 
     /// The scanner by a recipe, its azimuth offsets so many thousandths of degrees greater. The slots of its

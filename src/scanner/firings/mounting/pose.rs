@@ -1,133 +1,99 @@
 //! Where a scanner is and how it is turned, from points alone.
 //!
-//! Neighbouring points of a file were measured by neighbouring beams, whose plane passes through the scanner:
-//! - Points of a row follow one another: planes of all directions meet in the point where the beams start
-//!   (the apex), and the directions of a row lie on a cone around the axis.
-//! - Points of a firing follow one another: all planes contain the axis. Where on the axis beams start is
-//!   where elevations form heaps, or, if many points are near, where the planes meet. If azimuth offsets bend
-//!   the firings, planes do not contain the axis, but still meet in the apex; the axis is then that for which
-//!   elevations form heaps.
-//!
-//! Such a first estimate is good to a thousandth; the cones of the lasers, which it then tells apart, give
-//! the rest.
+//! Points of a laser that follow one another in a file are near one another, whatever comes between them: they
+//! are found as *tracks*, without a channel that tells the lasers. All points of a laser lie on a cone, or
+//! nearly, around the axis of the scanner; the apex of the cone is on the axis, but may be another for each
+//! laser, as beams may start away from the axis. Planes through short pieces of tracks, which meet near the
+//! scanner, give a first estimate, and least squares on the cones of the tracks the rest: at height z along
+//! the axis and distance rho from it, `z = A rho + B`, with an A and a B for each track. Tracks need not be
+//! whole: there are hundreds, and only the pose is common to all.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use crate::scanner::thinned;
 
-/// The axis of a scanner, and the point where its beams start, in metres.
+/// The axis of a scanner, and where its beams start, in metres.
 #[derive(Clone, Copy, Debug)]
 pub struct Pose {
     /// A unit vector. Which end is up is not known.
     pub axis: Vector3<f64>,
+    /// The point of the axis from whose height the beams start.
     pub apex: Vector3<f64>,
+    /// How far from the axis the beams start, each in its direction; 0 if they start on it.
+    pub along: f64,
 }
 
-/// Fewest planes, and fewest points, that determine a pose.
+/// Fewest planes that determine a pose.
 const FEWEST: usize = 20;
 /// Number of points, or of planes, that are used.
 const SAMPLE: usize = 4000;
-/// Smallest share of points that must be in heaps of elevations.
-const LEAST_SHARE: f64 = 0.5;
 /// In radians: the largest median distance of the points from their cones.
 const ON_CONE: f64 = 3e-5;
-/// In radians: how far off a pose that was found with fewer points may be.
-const FOUND: f64 = 2e-4;
-/// In metres, and as a sine: the largest median distances of the scanner from planes, and of its axis from
-/// their directions.
-const NEAR_PLANES: f64 = 0.06;
-const IN_PLANES: f64 = 0.01;
 
-/// The pose of the scanner that measured these points; `rows` has the same points row after row, if a channel
-/// tells the rows. `None` if none is found.
+/// The pose of the scanner that measured these points, which are in the order of the file; `rows` has the
+/// same points row after row, if a channel tells the rows. `None` if none is found.
 pub fn find(points: &[Vector3<f64>], rows: Option<&[Vector3<f64>]>) -> Option<Pose> {
-    /// Numbers of neighbouring points through which a plane is laid.
-    const OF_ROWS: [usize; 3] = [16, 8, 32];
-    const OF_FIRINGS: [usize; 3] = [12, 16, 32];
-    /// In radians: half the distance between two lasers, at first.
-    const APART: [f64; 3] = [6e-3, 3e-3, 1.5e-3];
-    let sample: Vec<Vector3<f64>> = thinned(points, SAMPLE).copied().collect();
-    let few: Vec<Vector3<f64>> = thinned(&sample, SAMPLE / 2).copied().collect();
-    // Many scanners stand upright, and many clouds were moved by little.
-    let upright = Pose { axis: Vector3::z(), apex: Vector3::zeros() };
-    let usual = [upright, along_axis(upright, &sample)].into_iter();
-    let refined_from = |start: Pose| {
-        APART.into_iter().find_map(|apart| {
-            let far = || farthest(&sample, &start.apex);
-            refined(start, &few, apart).or_else(|| refined(start, &far(), apart))
-        })
-    };
-    let from_any = |starts: Vec<Pose>| distinct(starts).into_iter().find_map(refined_from);
-    let from_neighbours = || {
-        let orders = rows.into_iter().chain([points]);
-        let of_rows = orders.flat_map(|points| OF_ROWS.map(|count| from_rows(points, count)));
-        let of_rows: Vec<Pose> = of_rows.flatten().collect();
-        let of_firings = OF_FIRINGS.into_iter().filter_map(|count| from_firings(points, count));
-        let of_firings = of_firings.flat_map(|firings| {
-            // Rows tell the place along the axis, too.
-            let places = of_rows.iter().map(move |rows| Pose { axis: firings.axis, apex: rows.apex });
-            std::iter::once(along_axis(firings, &sample)).chain(places)
-        });
-        from_any(of_rows.iter().copied().chain(of_firings).collect()).or_else(|| {
-            let upright = distinct(of_rows.iter().map(|rows| Pose { axis: Vector3::z(), ..*rows }).collect());
-            let tilted = upright.iter().map(|pose| tilted(pose.apex, &farthest(&sample, &pose.apex)));
-            tilted.into_iter().find_map(refined_from)
-        })
-    };
-    usual
-        .into_iter()
-        .find_map(refined_from)
-        .or_else(from_neighbours)
-        .and_then(|pose| refined(pose, &sample, FOUND))
-}
-
-/// Poses without those that are nearly the same as an earlier one.
-fn distinct(poses: Vec<Pose>) -> Vec<Pose> {
-    /// In metres, and as a sine.
-    const NEAR: f64 = 0.02;
-    const ALONG: f64 = 3e-3;
-    let mut distinct: Vec<Pose> = Vec::new();
-    for pose in poses {
-        let is_same = |other: &Pose| {
-            (pose.apex - other.apex).norm() < NEAR && pose.axis.cross(&other.axis).norm() < ALONG
-        };
-        if !distinct.iter().any(is_same) {
-            distinct.push(pose);
+    /// Numbers of neighbouring points of a track through which a plane is laid.
+    const OF_PLANES: [usize; 4] = [16, 8, 32, 64];
+    /// Metres: nearer points tell less than roundings hide, and tracks lead them astray.
+    const NEAREST: [f64; 3] = [2.0, 1.0, 0.5];
+    /// In radians: the median distance of points from the cones of a pose that is certainly right. Rounding
+    /// to millimetres leaves more.
+    const SURE: f64 = 1e-6;
+    let mut best: Option<(Pose, f64)> = None;
+    for points in [Some(points), rows].into_iter().flatten() {
+        let tracks = tracks(points);
+        for start in OF_PLANES.into_iter().filter_map(|count| from_planes(&tracks, count)) {
+            for nearest in NEAREST {
+                let next = refined(start, &tracks, nearest);
+                best = next.into_iter().chain(best).min_by(|a, b| a.1.total_cmp(&b.1));
+                if let Some((pose, _)) = best.filter(|(_, left)| *left < SURE) {
+                    return Some(pose);
+                }
+            }
         }
     }
-    distinct
+    best.map(|(pose, _)| pose)
 }
 
-/// The quarter of some points that is farthest from a point. If the place of the scanner is known to
-/// centimetres only, the elevations of near points are wrong by several lasers.
-fn farthest(points: &[Vector3<f64>], from: &Vector3<f64>) -> Vec<Vector3<f64>> {
-    let mut sorted = points.to_vec();
-    sorted.sort_by(|a, b| (b - from).norm_squared().total_cmp(&(a - from).norm_squared()));
-    sorted.truncate(points.len() / 4);
-    sorted
-}
+/// A track: points that were probably measured by one laser, one after the other.
+type Track = Vec<Vector3<f64>>;
 
-/// The pose with this apex whose axis is nearly upright, such that the elevations of some points form the
-/// highest heaps.
-fn tilted(apex: Vector3<f64>, points: &[Vector3<f64>]) -> Pose {
-    /// In radians, and steps.
-    const STEP: f64 = 5e-3;
-    const FARTHEST: i32 = 40;
-    /// The sine of a heap's width.
-    const WIDE: f64 = 6e-3;
-    let directions: Vec<Vector3<f64>> =
-        points.iter().filter_map(|point| (point - apex).try_normalize(0.0)).collect();
-    let tilts = (-FARTHEST..=FARTHEST).flat_map(|x| (-FARTHEST..=FARTHEST).map(move |y| [x, y]));
-    let axes = tilts.map(|tilt| {
-        let [x, y] = tilt.map(|steps| f64::from(steps) * STEP);
-        Vector3::new(x, y, 1.0).normalize()
-    });
-    let height = |axis: &Vector3<f64>| {
-        let mut heaps = [0u32; (2.0 / WIDE) as usize + 2];
-        directions.iter().for_each(|direction| heaps[((direction.dot(axis) + 1.0) / WIDE) as usize] += 1);
-        heaps.into_iter().map(|count| u64::from(count * count)).sum::<u64>()
-    };
-    Pose { axis: axes.max_by_key(height).unwrap_or_else(Vector3::z), apex }
+/// The tracks of points in the order of a file.
+fn tracks(points: &[Vector3<f64>]) -> Vec<Track> {
+    /// A sufficient number of points.
+    const MOST: usize = 100_000;
+    /// Metres, and as a part of the distance from the middle of all points: how far the next point of a track
+    /// may be.
+    const NEAR: f64 = 0.02;
+    const TURNED: f64 = 0.006;
+    /// Number of points after which a track has ended.
+    const PATIENCE: usize = 600;
+    let points = &points[..points.len().min(MOST)];
+    // Most points are near the scanner.
+    let middle = [0, 1, 2].map(|axis| median(thinned(points, SAMPLE).map(|point| point[axis])));
+    let middle = Vector3::from(middle);
+    let mut tracks: Vec<Track> = Vec::new();
+    // The last point of each track that has not ended, its number in the file, and the track.
+    let mut ends: Vec<(Vector3<f64>, usize, usize)> = Vec::new();
+    for (number, point) in points.iter().enumerate() {
+        let distances = ends.iter().map(|(end, ..)| (point - end).norm_squared()).enumerate();
+        let nearest = distances.min_by(|a, b| a.1.total_cmp(&b.1));
+        let reach = NEAR + TURNED * (point - middle).norm();
+        match nearest.filter(|(_, square)| *square < reach * reach) {
+            Some((place, _)) => {
+                let track = ends[place].2;
+                ends[place] = (*point, number, track);
+                tracks[track].push(*point);
+            }
+            None => {
+                ends.retain(|(_, last, _)| number - last < PATIENCE);
+                ends.push((*point, number, tracks.len()));
+                tracks.push(vec![*point]);
+            }
+        }
+    }
+    tracks
 }
 
 /// A plane through neighbouring points.
@@ -150,16 +116,15 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(f64::INFINITY)
 }
 
-/// The planes through so many neighbouring points each, where these determine one.
-fn planes(points: &[Vector3<f64>], count: usize) -> Vec<Plane> {
+/// The planes through so many neighbouring points of a track each, where these determine one.
+fn planes(windows: &[&[Vector3<f64>]]) -> Vec<Plane> {
     /// Square metres: points must spread in a second direction, by more than roundings,
     const WIDE: f64 = 1e-4;
     /// and relative to the first, by more than a row is curved,
     const STRAIGHT: f64 = 1e-3;
     /// but not in the third, relative to the second.
     const FLAT: f64 = 0.02;
-    let windows: Vec<&[Vector3<f64>]> = points.chunks_exact(count).collect();
-    let planes = thinned(&windows, SAMPLE).filter_map(|window| {
+    let planes = thinned(windows, SAMPLE).filter_map(|window| {
         let (middle, spread) = moments(window);
         let eigen = spread.symmetric_eigen();
         let mut order = [0, 1, 2];
@@ -184,17 +149,18 @@ fn least_direction(matrix: Matrix3<f64>) -> Vector3<f64> {
     eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned()
 }
 
-/// Number of iterations of least squares in which what deviates gets less weight.
-const ROUNDS: usize = 20;
-
-/// The pose if neighbouring points belong to one row; its apex is right if they belong to one firing, too.
-fn from_rows(points: &[Vector3<f64>], count: usize) -> Option<Pose> {
+/// About the pose, by planes through so many neighbouring points of tracks: they meet in a point of the axis,
+/// from which the directions of a track lie on a cone around it.
+fn from_planes(tracks: &[Track], count: usize) -> Option<Pose> {
+    /// Iterations of least squares in which what deviates gets less weight.
+    const ROUNDS: usize = 20;
     /// Metres, and sines of angles: what deviates by less has equal weight.
     const NEAR: f64 = 0.01;
     const SMALL: f64 = 3e-3;
     /// Metres: nearer points tell no direction.
     const NEAREST: f64 = 0.3;
-    let planes = planes(points, count);
+    let windows: Vec<&[Vector3<f64>]> = tracks.iter().flat_map(|track| track.chunks_exact(count)).collect();
+    let planes = planes(&windows);
     if planes.len() < FEWEST {
         return None;
     }
@@ -211,18 +177,12 @@ fn from_rows(points: &[Vector3<f64>], count: usize) -> Option<Pose> {
             *weight = 1.0 / (plane.distance(&apex) + NEAR);
         }
     }
-    if median(planes.iter().map(|plane| plane.distance(&apex))) > NEAR_PLANES {
-        return None;
-    }
-    let windows: Vec<&[Vector3<f64>]> = points.chunks_exact(count).collect();
-    let windows: Vec<&[Vector3<f64>]> = thinned(&windows, SAMPLE / 4).copied().collect();
-    let directions = windows.iter().map(|window| {
+    let spreads = thinned(&windows, SAMPLE / 4).map(|window| {
         let directions: Vec<Vector3<f64>> =
             window.iter().filter_map(|point| (point - apex).try_normalize(NEAREST)).collect();
         moments(&directions).1
     });
-    let spreads: Vec<Matrix3<f64>> =
-        directions.filter(|spread| spread.iter().all(|v| v.is_finite())).collect();
+    let spreads: Vec<Matrix3<f64>> = spreads.filter(|spread| spread.iter().all(|v| v.is_finite())).collect();
     let mut axis = Vector3::z();
     let mut weights = vec![1.0; spreads.len()];
     for _ in 0..ROUNDS {
@@ -231,257 +191,62 @@ fn from_rows(points: &[Vector3<f64>], count: usize) -> Option<Pose> {
             *weight = 1.0 / (axis.dot(&(spread * axis)).max(0.0).sqrt() + SMALL);
         }
     }
-    Some(Pose { axis, apex })
+    Some(Pose { axis, apex, along: 0.0 })
 }
 
-/// The pose if neighbouring points belong to one firing: the apex is any point of the axis.
-fn from_firings(points: &[Vector3<f64>], count: usize) -> Option<Pose> {
-    /// Sines of angles, and metres.
-    const SMALL: f64 = 0.01;
-    const NEAR: f64 = 0.02;
-    let planes = planes(points, count);
-    if planes.len() < FEWEST {
-        return None;
-    }
-    let weighted = |weights: &[f64]| -> Matrix3<f64> {
-        planes
-            .iter()
-            .zip(weights)
-            .map(|(plane, weight)| plane.normal * plane.normal.transpose() * *weight)
-            .sum()
+/// The pose for which the points of each track that are not nearer than `nearest`, in metres, lie on a cone,
+/// and their median distance from it, in radians, if there is one near this pose.
+fn refined(mut pose: Pose, tracks: &[Track], nearest: f64) -> Option<(Pose, f64)> {
+    const MOST_ROUNDS: usize = 30;
+    /// Radians, or metres: a smaller step is the last.
+    const LEAST: f64 = 1e-9;
+    /// Fewest points of a track, and fewest of these that are used.
+    const FEWEST_POINTS: usize = 30;
+    const FEWEST_USED: usize = 8;
+    let far = |track: &Track| -> Track {
+        track.iter().filter(|point| (*point - pose.apex).norm() > nearest).copied().collect()
     };
-    let mut axis = Vector3::z();
-    let mut weights = vec![1.0; planes.len()];
-    for _ in 0..ROUNDS {
-        axis = least_direction(weighted(&weights));
-        for (plane, weight) in planes.iter().zip(&mut weights) {
-            *weight = 1.0 / (plane.normal.dot(&axis).abs() + SMALL);
-        }
-    }
-    let mut apex = Vector3::zeros();
-    let of_axis = weights.clone();
-    for _ in 0..ROUNDS {
-        // The part along the axis, which the planes leave open, is 0.
-        let system = weighted(&weights);
-        let free = axis * axis.transpose() * system.trace();
-        let products = planes.iter().zip(&weights);
-        let right: Vector3<f64> =
-            products.map(|(plane, weight)| plane.normal * (plane.normal.dot(&plane.middle) * weight)).sum();
-        let across = Matrix3::identity() - axis * axis.transpose();
-        apex = (across * system * across + free).cholesky()?.solve(&(across * right));
-        for ((plane, weight), of_axis) in planes.iter().zip(&mut weights).zip(&of_axis) {
-            *weight = of_axis / (plane.distance(&apex) + NEAR);
-        }
-    }
-    let is_in_planes = median(planes.iter().map(|plane| plane.normal.dot(&axis).abs())) < IN_PLANES;
-    let is_near_planes = median(planes.iter().map(|plane| plane.distance(&apex))) < NEAR_PLANES;
-    (is_in_planes && is_near_planes).then_some(Pose { axis, apex })
-}
-
-/// The pose with the apex where elevations form the highest heaps.
-fn along_axis(pose: Pose, sample: &[Vector3<f64>]) -> Pose {
-    /// Metres above and below points near the axis, and from trial to trial.
-    const FARTHEST: f64 = 5.0;
-    const STEP: f64 = 0.02;
-    /// Radians of a heap.
-    const WIDE: f64 = 4e-3;
-    /// The part of the points that counts as near the axis.
-    const NEAR: usize = 10;
-    let few: Vec<Vector3<f64>> = thinned(sample, SAMPLE / 2).copied().collect();
-    let mut by_distance: Vec<[f64; 2]> = few
-        .iter()
-        .map(|point| {
-            let (from, along) = (point - pose.apex, (point - pose.apex).dot(&pose.axis));
-            [(from - pose.axis * along).norm(), along]
-        })
-        .collect();
-    by_distance.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    let middle = median(by_distance[..few.len() / NEAR].iter().map(|[_, along]| *along));
-    let places = (FARTHEST / STEP) as i32;
-    let poses = (-places..=places).map(|place| {
-        let along = middle + f64::from(place) * STEP;
-        Pose { apex: pose.apex + pose.axis * along, ..pose }
-    });
-    let height = |pose: &Pose| {
-        let mut heaps = vec![0u32; (std::f64::consts::PI / WIDE) as usize + 1];
-        for point in &few {
-            let elevation = pose.sighted(point).elevation + std::f64::consts::FRAC_PI_2;
-            if let Some(heap) = heaps.get_mut((elevation / WIDE) as usize) {
-                *heap += 1;
-            }
-        }
-        heaps.into_iter().map(|count| u64::from(count * count)).sum::<u64>()
-    };
-    poses.max_by_key(height).unwrap_or(pose)
-}
-
-/// A point as seen from a pose.
-struct Sighted {
-    /// In metres.
-    range: f64,
-    /// In radians; NaN at the apex.
-    elevation: f64,
-    direction: Vector3<f64>,
-}
-
-impl Pose {
-    fn sighted(&self, point: &Vector3<f64>) -> Sighted {
-        let from = point - self.apex;
-        let range = from.norm();
-        let direction = from / range;
-        Sighted { range, elevation: libm::asin(direction.dot(&self.axis).clamp(-1.0, 1.0)), direction }
-    }
-}
-
-/// The pose for which the points of each laser lie on a cone, if there is one near a pose that is right to
-/// less than half of `apart`, the distance of lasers in radians.
-fn refined(mut pose: Pose, sample: &[Vector3<f64>], apart: f64) -> Option<Pose> {
-    const MOST_ROUNDS: usize = 40;
-    /// The round by which the lasers of a right start are known.
-    const SOON: usize = 10;
-    /// Below this width of heaps, in radians, the lasers are known.
-    const KNOWN: f64 = 2e-4;
-    /// What the rounding of coordinates leaves.
-    const LEAST: f64 = 2e-6;
-    let mut wide = apart;
-    let mut lasers: Vec<f64> = Vec::new();
+    let tracks: Vec<Track> = tracks.iter().map(far).filter(|track| track.len() >= FEWEST_POINTS).collect();
+    let all: usize = tracks.iter().map(Vec::len).sum();
+    let part = (all / (4 * SAMPLE)).max(1);
+    let used = |track: &Track| track.iter().step_by(part).copied().collect::<Track>();
+    let tracks: Vec<Track> = tracks.iter().map(used).filter(|track| track.len() >= FEWEST_USED).collect();
+    let mut weights: Vec<Vec<f64>> = tracks.iter().map(|track| vec![1.0; track.len()]).collect();
     for round in 0..MOST_ROUNDS {
-        let seen: Vec<Sighted> = sample.iter().map(|point| pose.sighted(point)).collect();
-        if wide > KNOWN || lasers.is_empty() {
-            lasers = heaps(&seen, wide);
-        }
-        let of_lasers = nearest_of(&lasers, &seen, 1.5 * wide);
-        let inside = of_lasers.iter().flatten().count();
-        if lasers.len() < 3 || inside < FEWEST {
-            return None;
-        }
-        let (step, left, means) = step(&pose, &seen, &of_lasers, lasers.len(), wide)?;
+        let (step, left) = step(&pose, &tracks, &mut weights)?;
         pose = pose.changed_by(&step);
-        lasers = means;
-        if wide <= LEAST || round + 1 == MOST_ROUNDS {
-            let is_found = left < ON_CONE && inside as f64 > LEAST_SHARE * sample.len() as f64;
-            return is_found.then_some(pose);
-        }
-        if round == SOON && wide > KNOWN {
-            return None;
-        }
-        if round > 2 {
-            wide = (0.9 * wide).min(4.0 * left).max(LEAST);
+        if step.amax() < LEAST || round + 1 == MOST_ROUNDS {
+            return (left < ON_CONE).then(|| (pose.with_start(&tracks, &weights), left));
         }
     }
     None
 }
 
-/// The elevations at which there are most points, in ascending order.
-fn heaps(seen: &[Sighted], wide: f64) -> Vec<f64> {
-    /// Bins to the width of a heap.
-    const FINE: f64 = 4.0;
-    /// Fewest points of a heap, and the part of a high heap that a low one has.
-    const FEWEST: f64 = 8.0;
-    const LOW: f64 = 0.1;
-    let bin = |elevation: f64| ((elevation + std::f64::consts::FRAC_PI_2) / wide * FINE) as usize;
-    let mut counts = vec![0.0; bin(std::f64::consts::FRAC_PI_2) + 2];
-    seen.iter().filter(|seen| !seen.elevation.is_nan()).for_each(|seen| counts[bin(seen.elevation)] += 1.0);
-    let kernel: Vec<f64> = (-8..=8).map(|off| libm::exp(-0.5 * (f64::from(off) / FINE).powi(2))).collect();
-    let smooth: Vec<f64> = (0..counts.len())
-        .map(|at| {
-            let near = (0..kernel.len())
-                .filter_map(|off| Some(counts.get((at + off).checked_sub(8)?)? * kernel[off]));
-            near.sum()
-        })
-        .collect();
-    let mut sorted = smooth.clone();
-    sorted.sort_by(|a, b| b.total_cmp(a));
-    let least = (LOW * sorted[sorted.len() / 20]).max(FEWEST);
-    let peaks = (1..smooth.len() - 1)
-        .filter(|&at| smooth[at] > least && smooth[at] >= smooth[at - 1] && smooth[at] > smooth[at + 1]);
-    peaks.map(|at| (at as f64 + 0.5) * wide / FINE - std::f64::consts::FRAC_PI_2).collect()
-}
+/// The unknowns: rotations of the axis towards two directions across it, and shifts along these.
+const UNKNOWNS: usize = 4;
 
-/// For each point, the laser of the nearest of some ascending elevations, if it is within `reach`.
-fn nearest_of(lasers: &[f64], seen: &[Sighted], reach: f64) -> Vec<Option<usize>> {
-    let nearest = |seen: &Sighted| {
-        let after = lasers.partition_point(|laser| *laser < seen.elevation);
-        let distance = |laser: &usize| (lasers[*laser] - seen.elevation).abs();
-        let near = [after.checked_sub(1), (after < lasers.len()).then_some(after)];
-        near.into_iter()
-            .flatten()
-            .min_by(|a, b| distance(a).total_cmp(&distance(b)))
-            .filter(|laser| distance(laser) < reach)
-    };
-    seen.iter().map(nearest).collect()
-}
-
-/// The unknowns: rotations of the axis towards two directions across it, and the apex.
-const UNKNOWNS: usize = 5;
-
-/// A step of least squares towards elevations that are the same for all points of a laser. Returns the change
-/// of the pose, the median of what deviations are left, and the elevations.
-fn step(
-    pose: &Pose,
-    seen: &[Sighted],
-    of_lasers: &[Option<usize>],
-    lasers: usize,
-    wide: f64,
-) -> Option<(SVector<f64, UNKNOWNS>, f64, Vec<f64>)> {
-    /// Iterations in which what deviates gets less weight.
-    const ROUNDS: usize = 3;
-    const RIDGE: f64 = 1e-6;
-    type Row = SVector<f64, UNKNOWNS>;
-    let [one, other] = across(&pose.axis);
-    let points: Vec<(usize, f64, Row)> = seen
-        .iter()
-        .zip(of_lasers)
-        .filter_map(|(seen, laser)| {
-            let direction = seen.direction;
-            let [sin, cos] = [direction.dot(&pose.axis), libm::cos(seen.elevation)];
-            let of_apex = (direction * sin - pose.axis) / seen.range;
-            let slopes = [direction.dot(&one), direction.dot(&other), of_apex.x, of_apex.y, of_apex.z];
-            (cos > 0.0).then_some(((*laser)?, seen.elevation, Row::from(slopes) / cos))
-        })
-        .collect();
-    let mut weights = vec![1.0; points.len()];
-    let (mut change, mut means) = (Row::zeros(), vec![0.0; lasers]);
-    let mut left = Vec::new();
-    for _ in 0..ROUNDS {
-        // The elevation of each laser is eliminated.
-        let mut sums = vec![(0.0, 0.0, Row::zeros()); lasers];
-        for ((laser, elevation, slopes), weight) in points.iter().zip(&weights) {
-            let sum = &mut sums[*laser];
-            *sum = (sum.0 + weight, sum.1 + elevation * weight, sum.2 + slopes * *weight);
-        }
-        let centred: Vec<(f64, Row)> = points
-            .iter()
-            .map(|(laser, elevation, slopes)| {
-                let (weight, sum, slope) = &sums[*laser];
-                (elevation - sum / weight, slopes - slope / *weight)
-            })
-            .collect();
-        let (mut system, mut right) = (SMatrix::<f64, UNKNOWNS, UNKNOWNS>::zeros(), Row::zeros());
-        for ((miss, slopes), weight) in centred.iter().zip(&weights) {
-            system += slopes * slopes.transpose() * *weight;
-            right -= slopes * (miss * weight);
-        }
-        (0..UNKNOWNS).for_each(|place| system[(place, place)] *= 1.0 + RIDGE);
-        change = system.cholesky()?.solve(&right);
-        left = centred.iter().map(|(miss, slopes)| (miss + slopes.dot(&change)).abs()).collect();
-        weights = left.iter().map(|left| 1.0 / (left + 0.1 * wide)).collect();
-        means = sums.iter().map(|(weight, sum, slope)| (sum + slope.dot(&change)) / weight).collect();
-    }
-    let middle = median(left.into_iter());
-    means.retain(|mean| mean.is_finite());
-    means.sort_by(f64::total_cmp);
-    change.iter().all(|value| value.is_finite()).then_some((change, middle, means))
-}
-
-/// Two directions across another, all at right angles.
-pub(super) fn across(axis: &Vector3<f64>) -> [Vector3<f64>; 2] {
-    let aside = if axis.x.abs() < 0.8 { Vector3::x() } else { Vector3::y() };
-    let one = axis.cross(&aside).normalize();
-    [one, axis.cross(&one)]
+/// A point as seen from a pose: its height along the axis, its distance from it, and what a step adds to by
+/// how much it is higher than its cone.
+struct Sighted {
+    height: f64,
+    distance: f64,
+    slopes: SVector<f64, UNKNOWNS>,
 }
 
 impl Pose {
+    /// `slope` is that of the cone.
+    fn sighted(&self, point: &Vector3<f64>, slope: f64) -> Sighted {
+        let from = point - self.apex;
+        let height = from.dot(&self.axis);
+        let outward = from - self.axis * height;
+        let distance = outward.norm();
+        let outward = outward / distance;
+        let [one, other] = across(&self.axis);
+        let tilts = [from.dot(&one), from.dot(&other)].map(|along| along * (1.0 + slope * height / distance));
+        let shifts = [outward.dot(&one), outward.dot(&other)].map(|along| along * slope);
+        Sighted { height, distance, slopes: [tilts[0], tilts[1], shifts[0], shifts[1]].into() }
+    }
+
     /// The pose after a step, which is kept short.
     fn changed_by(&self, step: &SVector<f64, UNKNOWNS>) -> Self {
         /// Radians, and metres.
@@ -490,7 +255,141 @@ impl Pose {
         let [one, other] = across(&self.axis);
         Pose {
             axis: (self.axis + one * step[0] + other * step[1]).normalize(),
-            apex: self.apex + Vector3::new(step[2], step[3], step[4]),
+            apex: self.apex + one * step[2] + other * step[3],
+            ..*self
         }
     }
+
+    /// The pose with the start of the beams: at the height `up` and the distance `along` from the axis, all
+    /// cones have `B = up - A along`.
+    fn with_start(&self, tracks: &[Track], weights: &[Vec<f64>]) -> Self {
+        const ROUNDS: usize = 10;
+        /// Metres: what deviates by less has equal weight; beams that start nearer to the axis start on it.
+        const NEAR: f64 = 1e-5;
+        const ON_AXIS: f64 = 1e-4;
+        /// Slopes of steeper cones are known less well.
+        const STEEPEST: f64 = 2.0;
+        let cones = tracks.iter().zip(weights).filter_map(|(track, weights)| {
+            let points = track.iter().map(|point| self.sighted(point, 0.0));
+            let line =
+                Line::of(points.map(|seen| (seen.distance, seen.height)).zip(weights.iter().copied()))?;
+            (line.slope.abs() < STEEPEST).then_some(((line.slope, line.start), track.len() as f64))
+        });
+        let cones: Vec<((f64, f64), f64)> = cones.collect();
+        let fitted = |fit: fn(&[((f64, f64), f64)]) -> Line| {
+            let mut weighted = cones.clone();
+            let mut start = Line::default();
+            for _ in 0..ROUNDS {
+                start = fit(&weighted);
+                for (((slope, height), weight), (_, points)) in weighted.iter_mut().zip(&cones) {
+                    *weight = points / (start.above(*slope, *height).abs() + NEAR);
+                }
+            }
+            start
+        };
+        let start = fitted(|cones| Line::of(cones.iter().copied()).unwrap_or_default());
+        let start = match start.slope.abs() < ON_AXIS {
+            true => fitted(|cones| {
+                let sums = cones.iter().map(|((_, height), weight)| (height * weight, *weight));
+                let (height, weight) = sums.fold((0.0, 0.0), |sum, next| (sum.0 + next.0, sum.1 + next.1));
+                Line { slope: 0.0, start: height / weight }
+            }),
+            false => start,
+        };
+        Pose { apex: self.apex + self.axis * start.start, along: 0.0 - start.slope, ..*self }
+    }
+}
+
+/// A line `y = slope x + start`.
+#[derive(Clone, Copy, Default)]
+struct Line {
+    slope: f64,
+    start: f64,
+}
+
+impl Line {
+    /// The line nearest to some points, each with a weight.
+    fn of(points: impl Iterator<Item = ((f64, f64), f64)> + Clone) -> Option<Self> {
+        let weight: f64 = points.clone().map(|(_, weight)| weight).sum();
+        let mean = |of: fn((f64, f64)) -> f64| {
+            points.clone().map(|(point, weight)| weight * of(point)).sum::<f64>() / weight
+        };
+        let (x, y) = (mean(|point| point.0), mean(|point| point.1));
+        let products =
+            points.map(|((a, b), weight)| (weight * (a - x) * (a - x), weight * (a - x) * (b - y)));
+        let (square, product) = products.fold((0.0, 0.0), |sum, next| (sum.0 + next.0, sum.1 + next.1));
+        let slope = product / square;
+        slope.is_finite().then(|| Line { slope, start: y - slope * x })
+    }
+
+    /// By how much a point is above it.
+    fn above(&self, x: f64, y: f64) -> f64 {
+        y - self.slope * x - self.start
+    }
+}
+
+/// A step of least squares towards a pose from which each track lies on a cone of its own, given the weights
+/// of the points, which it brings up to date. Returns the change, and the median of what deviations are left,
+/// in radians.
+fn step(pose: &Pose, tracks: &[Track], weights: &mut [Vec<f64>]) -> Option<(SVector<f64, UNKNOWNS>, f64)> {
+    /// Iterations in which what deviates gets less weight.
+    const ROUNDS: usize = 3;
+    const RIDGE: f64 = 1e-9;
+    /// Radians: the least median deviation.
+    const LEAST: f64 = 1e-8;
+    type Row = SVector<f64, UNKNOWNS>;
+    let seen: Vec<Vec<Sighted>> = tracks
+        .iter()
+        .zip(&*weights)
+        .map(|(track, weights)| {
+            let flat = track.iter().map(|point| pose.sighted(point, 0.0));
+            let heights = flat.map(|seen| (seen.distance, seen.height)).zip(weights.iter().copied());
+            let slope = Line::of(heights).map_or(0.0, |line| line.slope);
+            track.iter().map(|point| pose.sighted(point, slope)).collect()
+        })
+        .collect();
+    let (mut change, mut middle) = (Row::zeros(), f64::INFINITY);
+    for _ in 0..ROUNDS {
+        // The cone of each track is eliminated.
+        let (mut system, mut right) = (SMatrix::<f64, UNKNOWNS, UNKNOWNS>::zeros(), Row::zeros());
+        let mut rows: Vec<Vec<(f64, Row)>> = Vec::with_capacity(seen.len());
+        for (seen, weights) in seen.iter().zip(&*weights) {
+            let line = |of: &dyn Fn(&Sighted) -> f64| {
+                let points = seen.iter().map(|seen| (seen.distance, of(seen))).zip(weights.iter().copied());
+                Line::of(points).unwrap_or_default()
+            };
+            let height = line(&|seen| seen.height);
+            let slopes = [0, 1, 2, 3].map(|unknown| line(&|seen| seen.slopes[unknown]));
+            let of_track = seen.iter().map(|seen| {
+                let row =
+                    [0, 1, 2, 3].map(|unknown| slopes[unknown].above(seen.distance, seen.slopes[unknown]));
+                (height.above(seen.distance, seen.height), Row::from(row))
+            });
+            let of_track: Vec<(f64, Row)> = of_track.collect();
+            for ((miss, row), weight) in of_track.iter().zip(weights) {
+                system += row * row.transpose() * *weight;
+                right -= row * (miss * weight);
+            }
+            rows.push(of_track);
+        }
+        (0..UNKNOWNS).for_each(|place| system[(place, place)] *= 1.0 + RIDGE);
+        change = system.cholesky()?.solve(&right);
+        let left = |(miss, row): &(f64, Row), seen: &Sighted| (miss + row.dot(&change)).abs() / seen.distance;
+        let pairs = rows.iter().flatten().zip(seen.iter().flatten());
+        middle = median(pairs.map(|(row, seen)| left(row, seen)));
+        for ((rows, seen), weights) in rows.iter().zip(&seen).zip(weights.iter_mut()) {
+            for ((row, seen), weight) in rows.iter().zip(seen).zip(weights) {
+                let least = 0.1 * middle.max(LEAST);
+                *weight = (left(row, seen) / least + 1.0).recip() / (seen.distance * seen.distance);
+            }
+        }
+    }
+    change.iter().all(|value| value.is_finite()).then_some((change, middle))
+}
+
+/// Two directions across another, all at right angles.
+pub(super) fn across(axis: &Vector3<f64>) -> [Vector3<f64>; 2] {
+    let aside = if axis.x.abs() < 0.8 { Vector3::x() } else { Vector3::y() };
+    let one = axis.cross(&aside).normalize();
+    [one, axis.cross(&one)]
 }
