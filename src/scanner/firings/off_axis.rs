@@ -123,7 +123,10 @@ impl ScanFacts<'_> {
         let (sequence, rows, ticks) = (self.sequence(&scanner), scanner.rows(), scanner.build.ticks);
         if let Some(order) = order(&sequence, rows, ticks, self.slack(ticks)) {
             let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
-            return Some(self.with_timings(scanner, false));
+            let lagging = scanner.clone().lagging(vec![0; rows]);
+            let starts = std::iter::once(&0).chain(&order.other_starts);
+            let begun = starts.map(|&start| scanner.clone().begun_at(start)).chain([lagging]);
+            return Some(begun.flat_map(|scanner| self.with_timings(scanner, false)).collect());
         }
         lines(&sequence, rows, ticks).map(|lines| vec![scanner.line_by_line(lines)])
     }

@@ -85,6 +85,8 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32, slack: u
     /// Pairs of lasers with fewer steps are ignored.
     const FEWEST: usize = 8;
     const OTHER_STARTS: usize = 2;
+    /// In ticks: smaller steps from one laser to the next are those of a firing.
+    const LEAST_JUMP: i64 = 3;
     let mut order = cycle(sequence, rows)?;
     let mut slots = vec![0; rows];
     order.iter().enumerate().for_each(|(slot, &row)| slots[row] = slot);
@@ -126,9 +128,15 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32, slack: u
         last_of_firing(&of_next)?
     };
     let first = (last + 1) % rows;
-    let mut others: Vec<usize> =
-        (0..rows).filter(|&slot| slot != last && alike(of_next[slot]) < STEADY).collect();
+    // It is also elsewhere if lasers of both halves of a firing fire at the same time: from the last of a half to
+    // the first of the next, the azimuth then jumps.
+    let jump = |slot: usize| modes[next(slot)].0.abs();
+    let jumps = |slot: &usize| alike(of_next[*slot]) >= STEADY && jump(*slot) >= LEAST_JUMP;
+    let (varying, steady): (Vec<usize>, Vec<usize>) =
+        (0..rows).filter(|&slot| slot != last).partition(|&slot| alike(of_next[slot]) < STEADY);
+    let mut others = varying;
     others.sort_by(|&a, &b| alike(of_next[a]).total_cmp(&alike(of_next[b])));
+    others.extend(steady.into_iter().filter(jumps).max_by_key(|slot| jump(*slot)));
     others.truncate(OTHER_STARTS);
     let other_starts = others.into_iter().map(|last| (last + 1 + rows - first) % rows).collect();
     order.rotate_left(first);
