@@ -145,9 +145,17 @@ fn firings_files(recipe: firings::Recipe, cells: Cells) -> Vec<File> {
 
 /// Two scans of a VLP-16 that a program moved to the frame of a vehicle.
 fn mounted_files(mover: common::firings::Mover) -> Vec<File> {
-    let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 2, thinning: 12, ..small(4, 2) };
+    let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 1, thinning: 3, ..small(4, 2) };
     let moved = |scan: &common::scans::Points| mover.moved(scan, [1.3, -2.1, 91.7], [1.2, 0.3, 1.9]);
     named(&scans(&config).iter().map(moved).collect::<Vec<_>>())
+}
+
+/// A scan of a scanner whose beams start away from the axis, moved to the frame of a vehicle.
+fn mounted_off_axis_files() -> Vec<File> {
+    let scanner = common::firings::made_up(firings::Recipe::RoboSense);
+    let image = RangeImage { is_full: false, ..common::firings::image(&scanner, 4) };
+    let points = common::firings::points(&scanner, &image);
+    named(&[common::firings::Mover::Pcl.moved(&points, [1.0, -2.0, 30.0], [0.5, 0.1, 1.6])])
 }
 
 /// Two scans of an HDL-64E or a VLP-16 in files with other axes than the scanner's: y is up.
@@ -189,7 +197,7 @@ fn timed_files() -> Vec<File> {
 
 /// A scan that was not rounded before it was moved, field after field, and one of which nothing tells that.
 fn unrounded_files() -> Vec<File> {
-    let scan = common::firings::unrounded_hdl_32e(180.0, -0.090_805, 12);
+    let scan = common::firings::unrounded_hdl_32e(180.0, -0.090_805, 1);
     let by_field = (0..4).flat_map(|field| scan.iter().map(move |point| point[field]));
     let by_field = by_field.flat_map(f32::to_le_bytes).collect();
     vec![("0.bin".to_owned(), by_field), ("1.bin".to_owned(), common::formats::kitti(&scan))]
@@ -320,6 +328,7 @@ fn recipes() -> Vec<Recipe> {
         || firings_files(firings::Recipe::RoboSenseEarly, Cells::Returns),
         EncoderConfig::default(),
     );
+    exact("firings-mounted-off-axis", mounted_off_axis_files, EncoderConfig::default());
     exact("y-up", || y_up_files(SynthScanner::Hdl64), EncoderConfig::default());
     exact("firings-y-up", || y_up_files(SynthScanner::Vlp16), EncoderConfig::default());
     exact("firings-mounted-unrounded", unrounded_files, EncoderConfig::default());

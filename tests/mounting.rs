@@ -120,7 +120,7 @@ fn upside_down_and_quarters_of_a_turn_are_found() {
 }
 
 #[test]
-fn lasers_with_azimuth_offsets_are_found_row_by_row_or_by_a_channel() {
+fn lasers_with_azimuth_offsets_are_found_in_any_order_with_or_without_a_channel() {
     let scanner = made_up(Recipe::DoubleYAhead);
     let image = RangeImage { is_full: false, ..image(&scanner, 1) };
     let by_rows = points(&scanner.clone().line_by_line((0..32).collect()), &image);
@@ -129,11 +129,33 @@ fn lasers_with_azimuth_offsets_are_found_row_by_row_or_by_a_channel() {
     let times = vec![0.0; by_firings.len()];
     let moved = |points: &Points| Mover::Pcl.moved(points, DEGREES, METRES);
     let with_channel = parse("0.pcd", pcd_stamped(&moved(&by_firings), &rows, &times));
-    for (scan, points) in [(file(&moved(&by_rows)), &by_rows), (with_channel, &by_firings)] {
+    let scans = [
+        (file(&moved(&by_rows)), &by_rows),
+        (file(&moved(&by_firings)), &by_firings),
+        (with_channel, &by_firings),
+    ];
+    for (scan, points) in scans {
         let (found, mounting) = fitted(scan);
         assert_eq!(mounting.expect("a mounting").order, TransformOrder::SingleShiftFirst);
         let exact = found.reproduced_share(&positions(&moved(points)));
         assert!(exact > 0.98, "{exact}");
+    }
+}
+
+#[test]
+fn beams_that_start_off_the_axis_are_found() {
+    for recipe in [Recipe::RoboSense, Recipe::RoboSenseEarly, Recipe::LsLidar] {
+        let scanner = made_up(recipe);
+        let measured = points(&scanner, &RangeImage { is_full: false, ..image(&scanner, 1) });
+        for mover in [Mover::Pcl, Mover::NumPyDouble] {
+            let moved = mover.moved(&measured, DEGREES, METRES);
+            let (found, mounting) = fitted(file(&moved));
+            assert!(mounting.is_some(), "{recipe:?}: without a mounting");
+            assert_eq!((found.build().recipe, found.rows()), (recipe, scanner.rows()));
+            assert_eq!(found.build().origin, scanner.build().origin);
+            let exact = found.reproduced_share(&positions(&moved));
+            assert!(exact > 0.95, "{recipe:?} {mover:?}: {exact}");
+        }
     }
 }
 

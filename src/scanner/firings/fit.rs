@@ -602,10 +602,10 @@ impl RecordGrid {
         let (shifts, same): (Vec<f64>, Vec<usize>) = ahead.into_iter().map(shift).unzip();
         let is_steady = same.into_iter().sum::<usize>() as f64 >= STEADY * all as f64;
         let shifts = if is_steady { shifts } else { vec![0.0; rows] };
-        let other_starts = Vec::new();
         FiringOrder {
             rows_of_slots: self.lines.clone(),
-            other_starts,
+            other_starts: Vec::new(),
+            half_start: None,
             shifts,
             timing: Timing::Together,
             is_steady,

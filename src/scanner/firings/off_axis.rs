@@ -124,7 +124,7 @@ impl ScanFacts<'_> {
         if let Some(order) = order(&sequence, rows, ticks, self.slack(ticks)) {
             let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
             let lagging = scanner.clone().lagging(vec![0; rows]);
-            let starts = std::iter::once(&0).chain(&order.other_starts);
+            let starts = [0].iter().chain(&order.other_starts).chain(&order.half_start);
             let begun = starts.map(|&start| scanner.clone().begun_at(start)).chain([lagging]);
             return Some(begun.flat_map(|scanner| self.with_timings(scanner, false)).collect());
         }

@@ -16,6 +16,8 @@ pub(super) struct FiringOrder {
     pub rows_of_slots: Vec<u32>,
     /// Other slots of this order at which a firing may begin, if the azimuth advances while its lasers fire.
     pub other_starts: Vec<usize>,
+    /// Another slot at which a firing may begin, if the azimuth always jumps there.
+    pub half_start: Option<usize>,
     /// The whole ticks by which each row is ahead. If `timing` is not that of the scanner, they include the
     /// ticks that pass while its lasers fire, or are all 0.
     pub shifts: Vec<f64>,
@@ -31,6 +33,7 @@ impl FiringOrder {
         FiringOrder {
             rows_of_slots: (0..rows as u32).collect(),
             other_starts: Vec::new(),
+            half_start: None,
             shifts: shifts_of_lines(sequence, rows, ticks),
             timing: Timing::Together,
             is_steady: true,
@@ -128,17 +131,16 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32, slack: u
         last_of_firing(&of_next)?
     };
     let first = (last + 1) % rows;
-    // It is also elsewhere if lasers of both halves of a firing fire at the same time: from the last of a half to
-    // the first of the next, the azimuth then jumps.
-    let jump = |slot: usize| modes[next(slot)].0.abs();
-    let jumps = |slot: &usize| alike(of_next[*slot]) >= STEADY && jump(*slot) >= LEAST_JUMP;
+    // If lasers of both halves of a firing fire at the same time, the azimuth jumps from half to half.
     let (varying, steady): (Vec<usize>, Vec<usize>) =
         (0..rows).filter(|&slot| slot != last).partition(|&slot| alike(of_next[slot]) < STEADY);
     let mut others = varying;
     others.sort_by(|&a, &b| alike(of_next[a]).total_cmp(&alike(of_next[b])));
-    others.extend(steady.into_iter().filter(jumps).max_by_key(|slot| jump(*slot)));
     others.truncate(OTHER_STARTS);
-    let other_starts = others.into_iter().map(|last| (last + 1 + rows - first) % rows).collect();
+    let jump = |slot: &usize| modes[next(*slot)].0.abs();
+    let half = steady.into_iter().filter(|slot| jump(slot) >= LEAST_JUMP).max_by_key(jump);
+    let start = |last: usize| (last + 1 + rows - first) % rows;
+    let (other_starts, half_start) = (others.into_iter().map(start).collect(), half.map(start));
     order.rotate_left(first);
     let mut shifts = vec![0.0; rows];
     if has_shifts {
@@ -146,7 +148,7 @@ pub(super) fn order(sequence: &[(usize, u32)], rows: usize, ticks: u32, slack: u
         order.iter().zip(of_slots).for_each(|(&row, shift)| shifts[row] = shift as f64);
     }
     let rows_of_slots = order.into_iter().map(|row| row as u32).collect();
-    Some(FiringOrder { rows_of_slots, other_starts, shifts, timing: Timing::Together, is_steady })
+    Some(FiringOrder { rows_of_slots, other_starts, half_start, shifts, timing: Timing::Together, is_steady })
 }
 
 /// The middle of the ascending steps that are densest within some ticks to either side, and their count.
@@ -252,6 +254,7 @@ pub(super) fn vlp_16(elevations: &[f64]) -> Option<FiringOrder> {
     let order = |rows_of_slots| FiringOrder {
         rows_of_slots,
         other_starts: Vec::new(),
+        half_start: None,
         shifts: vec![0.0; VLP_16.len()],
         timing: Timing::Vlp16,
         is_steady: true,

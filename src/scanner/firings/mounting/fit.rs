@@ -45,7 +45,7 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     let (start, along) = frame_of(&scan.cloud, is_return)?;
     let returns: Vec<[f32; 3]> = positions.iter().filter(|position| is_return(position)).copied().collect();
     let (scanner, seen, start) = match along {
-        0.0 => Seen::of(&returns, &start)?.with_recipe(&start)?,
+        0.0 => Seen::of(&returns, &start)?.sharpened(&start)?.with_recipe(&start)?,
         _ => Seen::off_axis(&scan.cloud, nothing, &start, along)?,
     };
     let sharpened = |seen: &Seen, start: &Mounting| {
@@ -243,6 +243,46 @@ impl Seen {
         let found: Vec<Measurement> = found.collect();
         let points = thinned(&found, 4 * SAMPLE).copied().collect();
         Some(Seen { build, lasers: lasers.collect(), points, parts })
+    }
+
+    /// The same with the angles of lasers with which the points come nearest to their positions in the file, if
+    /// nobody rounded them to thousandths of degrees.
+    fn sharpened(mut self, start: &Mounting) -> Option<Self> {
+        const ROUNDS: usize = 3;
+        /// Metres: points that are farther off belong to other returns.
+        const FARTHEST: f64 = 1e-4;
+        let mut mounting = *start;
+        if self.lasers.iter().all(|laser| laser.elevation % THOUSANDTH == 0) {
+            return Some(self);
+        }
+        for _ in 0..ROUNDS {
+            let pairs = self.pairs(&self.scanner(Recipe::DoubleXAhead, 0));
+            mounting = least_squares(&pairs, &mounting, &COARSE)?;
+            // Of each laser: the weight of its points, and their weighted changes of elevation and azimuth.
+            let mut sums = vec![[0.0; 3]; self.lasers.len()];
+            for ((found, position), (point, _)) in self.points.iter().zip(&pairs) {
+                let ([x, y, z], there) = (*point, mounting.undone(position.map(f64::from)));
+                let miss = [there[0] - x, there[1] - y, there[2] - z];
+                let (flat, range) = (x * x + y * y, x * x + y * y + z * z);
+                if miss.iter().any(|miss| miss.abs() > FARTHEST) || flat == 0.0 {
+                    continue;
+                }
+                let outward = (miss[0] * x + miss[1] * y) / flat.sqrt();
+                let up = (miss[2] * flat.sqrt() - z * outward) / range;
+                let clockwise = (miss[0] * y - miss[1] * x) / flat;
+                let weight = range / position.map(|v| unit_at(v).powi(2)).iter().sum::<f64>();
+                let sum = &mut sums[found.row as usize];
+                *sum = [sum[0] + weight, sum[1] + weight * up, sum[2] + weight * clockwise];
+            }
+            let in_units = |radians: f64| (radians.to_degrees() / ANGLE_UNIT).round() as i64;
+            for (laser, [weight, up, clockwise]) in self.lasers.iter_mut().zip(sums) {
+                if weight > 0.0 {
+                    laser.elevation += in_units(up / weight);
+                    laser.azimuth += in_units(clockwise / weight);
+                }
+            }
+        }
+        Some(self)
     }
 
     /// The scanner of a manufacturer whose beams start away from the axis, and its measurements and mounting;

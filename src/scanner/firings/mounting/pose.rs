@@ -33,53 +33,76 @@ const ON_CONE: f64 = 3e-5;
 /// The pose of the scanner that measured these points, which are in the order of the file; `rows` has the
 /// same points row after row, if a channel tells the rows. `None` if none is found.
 pub fn find(points: &[Vector3<f64>], rows: Option<&[Vector3<f64>]>) -> Option<Pose> {
+    /// About by how many radians scanners turn until a laser fires again. Firings may have been left out.
+    const TURNED: [f64; 3] = [6e-3, 2e-2, 6e-2];
+    /// Metres: nearer points are left out, as tracks lead them astray, unless there are few others.
+    const NEAREST: [f64; 3] = [2.0, 1.0, 0.5];
     /// Numbers of neighbouring points of a track through which a plane is laid.
     const OF_PLANES: [usize; 4] = [16, 8, 32, 64];
-    /// Metres: nearer points tell less than roundings hide, and tracks lead them astray.
-    const NEAREST: [f64; 3] = [2.0, 1.0, 0.5];
     /// In radians: the median distance of points from the cones of a pose that is certainly right. Rounding
     /// to millimetres leaves more.
     const SURE: f64 = 1e-6;
+    /// If the distances of two poses that were found differ by no more than this part, they are the same.
+    const SAME: f64 = 0.05;
     let mut best: Option<(Pose, f64)> = None;
-    for points in [Some(points), rows].into_iter().flatten() {
-        let tracks = tracks(points);
-        for start in OF_PLANES.into_iter().filter_map(|count| from_planes(&tracks, count)) {
-            for nearest in NEAREST {
-                let next = refined(start, &tracks, nearest);
-                best = next.into_iter().chain(best).min_by(|a, b| a.1.total_cmp(&b.1));
-                if let Some((pose, _)) = best.filter(|(_, left)| *left < SURE) {
-                    return Some(pose);
+    let orders = [Some(points), rows].into_iter().flatten();
+    for (points, turned) in orders.flat_map(|points| TURNED.map(|turned| (points, turned))) {
+        // Most points are near the scanner.
+        let middle = [0, 1, 2].map(|axis| median(thinned(points, SAMPLE).map(|point| point[axis])));
+        let middle = Vector3::from(middle);
+        let tracks = tracks(points, &middle, turned);
+        for nearest in NEAREST {
+            let far = beyond(nearest, &middle, &tracks);
+            for start in OF_PLANES.into_iter().filter_map(|count| from_planes(&far, count)) {
+                let next = refined(start, &beyond(nearest, &start.apex, &tracks), SAMPLE);
+                let next = next.map(|(pose, left)| {
+                    let all = beyond(nearest, &pose.apex, &tracks);
+                    let by_more = if left < ON_CONE { refined(pose, &all, 4 * SAMPLE) } else { None };
+                    by_more.unwrap_or((pose, left))
+                });
+                let Some((pose, left)) = next else { continue };
+                if left < SURE || best.is_some_and(|(_, other)| (left - other).abs() < SAME * other) {
+                    return (left < ON_CONE).then_some(pose);
                 }
+                best = best.filter(|(_, other)| *other < left).or(next);
+            }
+            if 2 * far.iter().map(Vec::len).sum::<usize>() > points.len() {
+                break;
             }
         }
     }
-    best.map(|(pose, _)| pose)
+    best.filter(|(_, left)| *left < ON_CONE).map(|(pose, _)| pose)
+}
+
+/// The points of tracks that are at least so many metres from another, of tracks with enough of them.
+fn beyond(nearest: f64, from: &Vector3<f64>, tracks: &[Track]) -> Vec<Track> {
+    const FEWEST: usize = 30;
+    let far = |track: &Track| -> Track {
+        track.iter().filter(|point| (*point - from).norm() > nearest).copied().collect()
+    };
+    tracks.iter().filter(|track| track.len() >= FEWEST).map(far).filter(|far| far.len() >= FEWEST).collect()
 }
 
 /// A track: points that were probably measured by one laser, one after the other.
 type Track = Vec<Vector3<f64>>;
 
-/// The tracks of points in the order of a file.
-fn tracks(points: &[Vector3<f64>]) -> Vec<Track> {
+/// The tracks of points in the order of a file. `turned`: how far the next point of a track may be, as a part
+/// of the distance from the middle of all points.
+fn tracks(points: &[Vector3<f64>], middle: &Vector3<f64>, turned: f64) -> Vec<Track> {
     /// A sufficient number of points.
     const MOST: usize = 100_000;
-    /// Metres, and as a part of the distance from the middle of all points: how far the next point of a track
-    /// may be.
+    /// In metres: what is nearer is near in any case.
     const NEAR: f64 = 0.02;
-    const TURNED: f64 = 0.006;
     /// Number of points after which a track has ended.
     const PATIENCE: usize = 600;
     let points = &points[..points.len().min(MOST)];
-    // Most points are near the scanner.
-    let middle = [0, 1, 2].map(|axis| median(thinned(points, SAMPLE).map(|point| point[axis])));
-    let middle = Vector3::from(middle);
     let mut tracks: Vec<Track> = Vec::new();
     // The last point of each track that has not ended, its number in the file, and the track.
     let mut ends: Vec<(Vector3<f64>, usize, usize)> = Vec::new();
     for (number, point) in points.iter().enumerate() {
+        let reach = NEAR + turned * (point - middle).norm();
         let distances = ends.iter().map(|(end, ..)| (point - end).norm_squared()).enumerate();
         let nearest = distances.min_by(|a, b| a.1.total_cmp(&b.1));
-        let reach = NEAR + TURNED * (point - middle).norm();
         match nearest.filter(|(_, square)| *square < reach * reach) {
             Some((place, _)) => {
                 let track = ends[place].2;
@@ -194,29 +217,33 @@ fn from_planes(tracks: &[Track], count: usize) -> Option<Pose> {
     Some(Pose { axis, apex, along: 0.0 })
 }
 
-/// The pose for which the points of each track that are not nearer than `nearest`, in metres, lie on a cone,
-/// and their median distance from it, in radians, if there is one near this pose.
-fn refined(mut pose: Pose, tracks: &[Track], nearest: f64) -> Option<(Pose, f64)> {
+/// The pose for which the points of each track lie on a cone, and their median distance from it, in radians, if
+/// there is one near this pose. `most`: about how many points are used.
+fn refined(mut pose: Pose, tracks: &[Track], most: usize) -> Option<(Pose, f64)> {
     const MOST_ROUNDS: usize = 30;
+    /// Rounds, and the median distance from the cones, in radians, that a good start leaves after them.
+    const SOON: [(usize, f64); 2] = [(6, 3e-3), (12, 3e-4)];
     /// Radians, or metres: a smaller step is the last.
     const LEAST: f64 = 1e-9;
-    /// Fewest points of a track, and fewest of these that are used.
-    const FEWEST_POINTS: usize = 30;
+    /// Number of tracks that are enough, and fewest points of a track that are used.
+    const FEWEST_TRACKS: usize = 60;
     const FEWEST_USED: usize = 8;
-    let far = |track: &Track| -> Track {
-        track.iter().filter(|point| (*point - pose.apex).norm() > nearest).copied().collect()
-    };
-    let tracks: Vec<Track> = tracks.iter().map(far).filter(|track| track.len() >= FEWEST_POINTS).collect();
     let all: usize = tracks.iter().map(Vec::len).sum();
-    let part = (all / (4 * SAMPLE)).max(1);
-    let used = |track: &Track| track.iter().step_by(part).copied().collect::<Track>();
-    let tracks: Vec<Track> = tracks.iter().map(used).filter(|track| track.len() >= FEWEST_USED).collect();
+    // Some tracks, or if there are few, some points of each.
+    let of_tracks = (all / most).min(tracks.len() / FEWEST_TRACKS).max(1);
+    let of_points = (all / of_tracks / most).max(1);
+    let used = |track: &Track| track.iter().step_by(of_points).copied().collect::<Track>();
+    let tracks = tracks.iter().step_by(of_tracks).map(used);
+    let tracks: Vec<Track> = tracks.filter(|track| track.len() >= FEWEST_USED).collect();
     let mut weights: Vec<Vec<f64>> = tracks.iter().map(|track| vec![1.0; track.len()]).collect();
     for round in 0..MOST_ROUNDS {
         let (step, left) = step(&pose, &tracks, &mut weights)?;
         pose = pose.changed_by(&step);
+        if SOON.iter().any(|(soon, most)| round == *soon && left > *most) {
+            return None;
+        }
         if step.amax() < LEAST || round + 1 == MOST_ROUNDS {
-            return (left < ON_CONE).then(|| (pose.with_start(&tracks, &weights), left));
+            return Some((pose.with_start(&tracks, &weights), left));
         }
     }
     None
@@ -275,8 +302,8 @@ impl Pose {
                 Line::of(points.map(|seen| (seen.distance, seen.height)).zip(weights.iter().copied()))?;
             (line.slope.abs() < STEEPEST).then_some(((line.slope, line.start), track.len() as f64))
         });
-        let cones: Vec<((f64, f64), f64)> = cones.collect();
-        let fitted = |fit: fn(&[((f64, f64), f64)]) -> Line| {
+        let cones: Vec<Weighted> = cones.collect();
+        let fitted = |fit: fn(&[Weighted]) -> Line| {
             let mut weighted = cones.clone();
             let mut start = Line::default();
             for _ in 0..ROUNDS {
@@ -300,6 +327,9 @@ impl Pose {
     }
 }
 
+/// A point of two coordinates, and its weight.
+type Weighted = ((f64, f64), f64);
+
 /// A line `y = slope x + start`.
 #[derive(Clone, Copy, Default)]
 struct Line {
@@ -309,7 +339,7 @@ struct Line {
 
 impl Line {
     /// The line nearest to some points, each with a weight.
-    fn of(points: impl Iterator<Item = ((f64, f64), f64)> + Clone) -> Option<Self> {
+    fn of(points: impl Iterator<Item = Weighted> + Clone) -> Option<Self> {
         let weight: f64 = points.clone().map(|(_, weight)| weight).sum();
         let mean = |of: fn((f64, f64)) -> f64| {
             points.clone().map(|(point, weight)| weight * of(point)).sum::<f64>() / weight
@@ -319,7 +349,7 @@ impl Line {
             points.map(|((a, b), weight)| (weight * (a - x) * (a - x), weight * (a - x) * (b - y)));
         let (square, product) = products.fold((0.0, 0.0), |sum, next| (sum.0 + next.0, sum.1 + next.1));
         let slope = product / square;
-        slope.is_finite().then(|| Line { slope, start: y - slope * x })
+        slope.is_finite().then_some(Line { slope, start: y - slope * x })
     }
 
     /// By how much a point is above it.
