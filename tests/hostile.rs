@@ -14,7 +14,7 @@ use lidarpc::internals::ground::varint::write_unsigned;
 use lidarpc::internals::models::ByteModel;
 use lidarpc::internals::scan::{Field, Layout, Scalar, Wrapping};
 use lidarpc::internals::scanner::hdl64::ColumnModel;
-use lidarpc::internals::scanner::{BeamConstants, Coordinates, Hdl64};
+use lidarpc::internals::scanner::{BeamConstants, Coordinates, Hdl64, Scanner};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
@@ -249,7 +249,8 @@ fn forged_as(
     group.frames.truncate(1);
     group.frames[0].sections = sections;
     group.frames[0].header.point_count = records;
-    let record = model.map(|model| ScannerRecord { family: 1, payload: model.to_payload() });
+    let payload = |model: &Hdl64| Scanner::from(model.clone()).to_payload();
+    let record = model.map(|model| ScannerRecord { family: 1, payload: payload(model) });
     group.scanners = vec![record.as_ref().map(ScannerRecord::id)];
     put_together(record.as_slice(), &[group])
 }
@@ -506,7 +507,7 @@ fn scanners_that_no_frame_uses_cost_nothing() {
     let scanner = |number: usize| {
         let constants = BeamConstants { elevation: number as i64, ..BeamConstants::default() };
         let model = Hdl64::new(Coordinates::Millimetre, 360_000, 2000, vec![constants]);
-        ScannerRecord { family: 1, payload: model.to_payload() }
+        ScannerRecord { family: 1, payload: Scanner::from(model).to_payload() }
     };
     let scanners: Vec<_> = (0..2000).map(scanner).collect();
     assert_eq!(decode_files(&put_together(&scanners, &[])).unwrap(), []);

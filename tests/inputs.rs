@@ -249,14 +249,16 @@ fn what_was_lost_is_said_with_what_was_saved() {
 fn paper_mode_warns_of_other_scanners() {
     let bench = Bench::new();
     bench.ok("synth -o vlp16 --scanner vlp16 --frames 2");
-    // Its lasers are found and become the rows of the image, unless the scanner is mounted sideways.
+    // Its lasers are found and become the rows of the image, unless the scanner is mounted with a tilt.
     assert!(bench.says("encode vlp16 -o out.lpc --mode paper").starts_with("2 frames: "));
     for entry in fs::read_dir(bench.path("vlp16")).unwrap() {
         let path = entry.unwrap().path();
         let bytes = fs::read(&path).unwrap();
-        let turned = bytes
-            .chunks(16)
-            .map(|record| [&record[..4], &record[8..12], &record[4..8], &record[12..]].concat());
+        let turned = bytes.chunks(16).map(|record| {
+            let [y, z] = [4, 8].map(|at| f32::from_le_bytes(record[at..at + 4].try_into().unwrap()));
+            let turned = [0.8 * y - 0.6 * z, 0.6 * y + 0.8 * z].map(f32::to_le_bytes);
+            [&record[..4], &turned[0], &turned[1], &record[12..]].concat()
+        });
         fs::write(&path, turned.collect::<Vec<_>>().concat()).unwrap();
     }
     let said = bench.says("encode vlp16 -o out.lpc --force --mode paper");

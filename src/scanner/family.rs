@@ -109,12 +109,13 @@ impl Scanner {
         }
         // If `firings` explains the scans, they are in firing order, which no other family has.
         let found = firings::fit(sample).map(|(scanner, _)| scanner);
+        let scan = largest;
         let largest = largest.map_or(&[][..], |scan| &scan.cloud.positions);
         let exact = found.as_ref().map_or(0.0, |scanner| scanner.reproduced_share(largest));
         if let Some(found) = found.as_ref().filter(|scanner| scanner.reproduces_most(largest)) {
             return Some(found.clone().into());
         }
-        let turned = Self::with_other_axes(sample, largest, found.is_some());
+        let turned = scan.and_then(|scan| Self::with_other_axes(sample, scan, found.is_some()));
         if let Some((turned, _)) = turned.as_ref().filter(|(_, reproduces_most)| *reproduces_most) {
             return Some(turned.clone());
         }
@@ -128,30 +129,34 @@ impl Scanner {
     }
 
     /// A scanner of firings for a sample whose files have other axes than it has, and whether it reproduces
-    /// most of the largest scan, whose positions are `positions`: the first that does or, unless `is_one`, the
-    /// first one. `is_one`: one fits along the axes of the files, but does not reproduce most points.
-    fn with_other_axes(sample: &[ScanFile], positions: &[[f32; 3]], is_one: bool) -> Option<(Scanner, bool)> {
+    /// most of the largest scan: the first that does or, unless `is_one`, the first one. `is_one`: one fits along
+    /// the axes of the files, but does not reproduce most points.
+    fn with_other_axes(sample: &[ScanFile], largest: &ScanFile, is_one: bool) -> Option<(Scanner, bool)> {
         /// Number of failed fits after which the other three or four orientations with the same axis up are
         /// tried: which axis is ahead matters to roundings, by which few scanners are found.
         const MAY_FAIL: [usize; 2] = [4, 0];
         let mut first = None;
-        for (four, may_fail) in Orientation::of_firings(positions).into_iter().zip(MAY_FAIL) {
+        let fit = |sample: &[ScanFile], orientation| firings::fit(&along_axes(sample, orientation));
+        for (four, may_fail) in Orientation::of_firings(&largest.cloud.positions).into_iter().zip(MAY_FAIL) {
+            // Roundings tell which of the four it is, if one of them fits.
+            if is_one && !four.contains(&Orientation::default()) {
+                continue;
+            }
             let mut failed = 0;
             for orientation in four.into_iter().filter(|orientation| !orientation.is_default()) {
-                let Some((found, _)) = firings::fit(&along_axes(sample, orientation)) else {
+                let Some((found, _)) = fit(std::slice::from_ref(largest), orientation) else {
                     failed += 1;
                     if failed > may_fail {
                         break;
                     }
                     continue;
                 };
-                let positions = positions.iter().map(|position| orientation.to_scanner(*position));
-                let reproduces_most = found.reproduces_most(&positions.collect::<Vec<_>>());
-                let found = Scanner::from(found).oriented(orientation);
-                if reproduces_most {
-                    return Some((found, true));
+                let turned = orientation.cloud_to_scanner(largest.cloud.clone());
+                if found.reproduces_most(&turned.positions) {
+                    let found = if sample.len() > 1 { fit(sample, orientation)?.0 } else { found };
+                    return Some((Scanner::from(found).oriented(orientation), true));
                 }
-                first = first.or((!is_one).then_some(found));
+                first = first.or((!is_one).then(|| Scanner::from(found).oriented(orientation)));
             }
         }
         first.map(|first| (first, false))

@@ -90,11 +90,11 @@ type Track = Vec<Vector3<f64>>;
 /// of the distance from the middle of all points.
 fn tracks(points: &[Vector3<f64>], middle: &Vector3<f64>, turned: f64) -> Vec<Track> {
     /// A sufficient number of points.
-    const MOST: usize = 100_000;
+    const MOST: usize = 50_000;
     /// In metres: what is nearer is near in any case.
     const NEAR: f64 = 0.02;
     /// Number of points after which a track has ended.
-    const PATIENCE: usize = 600;
+    const PATIENCE: usize = 400;
     let points = &points[..points.len().min(MOST)];
     let mut tracks: Vec<Track> = Vec::new();
     // The last point of each track that has not ended, its number in the file, and the track.
@@ -358,6 +358,28 @@ impl Line {
     }
 }
 
+/// The lines of the heights of a track's points, and of each of their slopes, by distance from the axis.
+fn lines(seen: &[Sighted], weights: &[f64]) -> [Line; 1 + UNKNOWNS] {
+    let points = || seen.iter().zip(weights);
+    let weight: f64 = weights.iter().sum();
+    let middle = points().map(|(seen, weight)| weight * seen.distance).sum::<f64>() / weight;
+    let mut square = 0.0;
+    // Of each line: the sums of values, and of their products with distances.
+    let mut sums = [[0.0; 2]; 1 + UNKNOWNS];
+    for (seen, weight) in points() {
+        let off = seen.distance - middle;
+        square += weight * off * off;
+        let slopes = &seen.slopes;
+        for (sum, value) in sums.iter_mut().zip([seen.height, slopes[0], slopes[1], slopes[2], slopes[3]]) {
+            *sum = [sum[0] + weight * value, sum[1] + weight * off * value];
+        }
+    }
+    sums.map(|[sum, product]| {
+        let slope = product / square;
+        if slope.is_finite() { Line { slope, start: sum / weight - slope * middle } } else { Line::default() }
+    })
+}
+
 /// A step of least squares towards a pose from which each track lies on a cone of its own, given the weights
 /// of the points, which it brings up to date. Returns the change, and the median of what deviations are left,
 /// in radians.
@@ -384,12 +406,7 @@ fn step(pose: &Pose, tracks: &[Track], weights: &mut [Vec<f64>]) -> Option<(SVec
         let (mut system, mut right) = (SMatrix::<f64, UNKNOWNS, UNKNOWNS>::zeros(), Row::zeros());
         let mut rows: Vec<Vec<(f64, Row)>> = Vec::with_capacity(seen.len());
         for (seen, weights) in seen.iter().zip(&*weights) {
-            let line = |of: &dyn Fn(&Sighted) -> f64| {
-                let points = seen.iter().map(|seen| (seen.distance, of(seen))).zip(weights.iter().copied());
-                Line::of(points).unwrap_or_default()
-            };
-            let height = line(&|seen| seen.height);
-            let slopes = [0, 1, 2, 3].map(|unknown| line(&|seen| seen.slopes[unknown]));
+            let [height, slopes @ ..] = lines(seen, weights);
             let of_track = seen.iter().map(|seen| {
                 let row =
                     [0, 1, 2, 3].map(|unknown| slopes[unknown].above(seen.distance, seen.slopes[unknown]));
