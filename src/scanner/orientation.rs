@@ -99,7 +99,7 @@ impl Orientation {
     /// The likely orientation of a file of which the rows of an HDL-64E come one after the other: the highest
     /// first, each counterclockwise from straight ahead. `None` if there are no such rows.
     pub fn of_rows(positions: &[[f32; 3]]) -> Option<Self> {
-        const FEWEST_ROWS: f64 = 16.0;
+        const FEWEST_ROWS: f64 = 15.0;
         /// How many times as great as those elsewhere steps from row to row are at least.
         const CLEAR: f64 = 2.0;
         let axis = axis_of_rotation(positions)?;
