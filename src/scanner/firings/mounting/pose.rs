@@ -1,11 +1,11 @@
 //! Where a scanner is and how it is turned, from points alone.
 //!
 //! Points of a laser that follow one another in a file are near one another, whatever comes between them: they
-//! are found as *tracks*, without a channel that tells the lasers. All points of a laser lie on a cone, or
+//! are found as *trails*, without a channel that tells the lasers. All points of a laser lie on a cone, or
 //! nearly, around the axis of the scanner; the apex of the cone is on the axis, but may be another for each
-//! laser, as beams may start away from the axis. Planes through short pieces of tracks, which meet near the
-//! scanner, give a first estimate, and least squares on the cones of the tracks the rest: at height z along
-//! the axis and distance rho from it, `z = A rho + B`, with an A and a B for each track. Tracks need not be
+//! laser, as beams may start away from the axis. Planes through short pieces of trails, which meet near the
+//! scanner, give a first estimate, and least squares on the cones of the trails the rest: at height z along
+//! the axis and distance rho from it, `z = A rho + B`, with an A and a B for each trail. Trails need not be
 //! whole: there are hundreds, and only the pose is common to all.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -35,9 +35,9 @@ const ON_CONE: f64 = 3e-5;
 pub fn find(points: &[Vector3<f64>], rows: Option<&[Vector3<f64>]>) -> Option<Pose> {
     /// About by how many radians scanners turn until a laser fires again. Firings may have been left out.
     const TURNED: [f64; 3] = [6e-3, 2e-2, 6e-2];
-    /// Metres: nearer points are left out, as tracks lead them astray, unless there are few others.
+    /// Metres: nearer points are left out, as trails lead them astray, unless there are few others.
     const NEAREST: [f64; 3] = [2.0, 1.0, 0.5];
-    /// Numbers of neighbouring points of a track through which a plane is laid.
+    /// Numbers of neighbouring points of a trail through which a plane is laid.
     const OF_PLANES: [usize; 4] = [16, 8, 32, 64];
     /// In radians: the median distance of points from the cones of a pose that is certainly right. Rounding
     /// to millimetres leaves more.
@@ -50,13 +50,13 @@ pub fn find(points: &[Vector3<f64>], rows: Option<&[Vector3<f64>]>) -> Option<Po
         // Most points are near the scanner.
         let middle = [0, 1, 2].map(|axis| median(thinned(points, SAMPLE).map(|point| point[axis])));
         let middle = Vector3::from(middle);
-        let tracks = tracks(points, &middle, turned);
+        let trails = trails(points, &middle, turned);
         for nearest in NEAREST {
-            let far = beyond(nearest, &middle, &tracks);
+            let far = beyond(nearest, &middle, &trails);
             for start in OF_PLANES.into_iter().filter_map(|count| from_planes(&far, count)) {
-                let next = refined(start, &beyond(nearest, &start.apex, &tracks), SAMPLE);
+                let next = refined(start, &beyond(nearest, &start.apex, &trails), SAMPLE);
                 let next = next.map(|(pose, left)| {
-                    let all = beyond(nearest, &pose.apex, &tracks);
+                    let all = beyond(nearest, &pose.apex, &trails);
                     let by_more = if left < ON_CONE { refined(pose, &all, 4 * SAMPLE) } else { None };
                     by_more.unwrap_or((pose, left))
                 });
@@ -74,30 +74,30 @@ pub fn find(points: &[Vector3<f64>], rows: Option<&[Vector3<f64>]>) -> Option<Po
     best.filter(|(_, left)| *left < ON_CONE).map(|(pose, _)| pose)
 }
 
-/// The points of tracks that are at least so many metres from another, of tracks with enough of them.
-fn beyond(nearest: f64, from: &Vector3<f64>, tracks: &[Track]) -> Vec<Track> {
+/// The points of trails that are at least so many metres from another, of trails with enough of them.
+fn beyond(nearest: f64, from: &Vector3<f64>, trails: &[Trail]) -> Vec<Trail> {
     const FEWEST: usize = 30;
-    let far = |track: &Track| -> Track {
-        track.iter().filter(|point| (*point - from).norm() > nearest).copied().collect()
+    let far = |trail: &Trail| -> Trail {
+        trail.iter().filter(|point| (*point - from).norm() > nearest).copied().collect()
     };
-    tracks.iter().filter(|track| track.len() >= FEWEST).map(far).filter(|far| far.len() >= FEWEST).collect()
+    trails.iter().filter(|trail| trail.len() >= FEWEST).map(far).filter(|far| far.len() >= FEWEST).collect()
 }
 
-/// A track: points that were probably measured by one laser, one after the other.
-type Track = Vec<Vector3<f64>>;
+/// A trail: points that were probably measured by one laser, one after the other.
+type Trail = Vec<Vector3<f64>>;
 
-/// The tracks of points in the order of a file. `turned`: how far the next point of a track may be, as a part
+/// The trails of points in the order of a file. `turned`: how far the next point of a trail may be, as a part
 /// of the distance from the middle of all points.
-fn tracks(points: &[Vector3<f64>], middle: &Vector3<f64>, turned: f64) -> Vec<Track> {
+fn trails(points: &[Vector3<f64>], middle: &Vector3<f64>, turned: f64) -> Vec<Trail> {
     /// A sufficient number of points.
     const MOST: usize = 50_000;
     /// In metres: what is nearer is near in any case.
     const NEAR: f64 = 0.02;
-    /// Number of points after which a track has ended.
+    /// Number of points after which a trail is given up, when another one begins.
     const PATIENCE: usize = 400;
     let points = &points[..points.len().min(MOST)];
-    let mut tracks: Vec<Track> = Vec::new();
-    // The last point of each track that has not ended, its number in the file, and the track.
+    let mut trails: Vec<Trail> = Vec::new();
+    // The last point of each trail that is not given up, its number in the file, and the trail.
     let mut ends: Vec<(Vector3<f64>, usize, usize)> = Vec::new();
     for (number, point) in points.iter().enumerate() {
         let reach = NEAR + turned * (point - middle).norm();
@@ -105,18 +105,18 @@ fn tracks(points: &[Vector3<f64>], middle: &Vector3<f64>, turned: f64) -> Vec<Tr
         let nearest = distances.min_by(|a, b| a.1.total_cmp(&b.1));
         match nearest.filter(|(_, square)| *square < reach * reach) {
             Some((place, _)) => {
-                let track = ends[place].2;
-                ends[place] = (*point, number, track);
-                tracks[track].push(*point);
+                let trail = ends[place].2;
+                ends[place] = (*point, number, trail);
+                trails[trail].push(*point);
             }
             None => {
                 ends.retain(|(_, last, _)| number - last < PATIENCE);
-                ends.push((*point, number, tracks.len()));
-                tracks.push(vec![*point]);
+                ends.push((*point, number, trails.len()));
+                trails.push(vec![*point]);
             }
         }
     }
-    tracks
+    trails
 }
 
 /// A plane through neighbouring points.
@@ -139,7 +139,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(f64::INFINITY)
 }
 
-/// The planes through so many neighbouring points of a track each, where these determine one.
+/// The planes through so many neighbouring points of a trail each, where these determine one.
 fn planes(windows: &[&[Vector3<f64>]]) -> Vec<Plane> {
     /// Square metres: points must spread in a second direction, by more than roundings,
     const WIDE: f64 = 1e-4;
@@ -172,9 +172,9 @@ fn least_direction(matrix: Matrix3<f64>) -> Vector3<f64> {
     eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned()
 }
 
-/// About the pose, by planes through so many neighbouring points of tracks: they meet in a point of the axis,
-/// from which the directions of a track lie on a cone around it.
-fn from_planes(tracks: &[Track], count: usize) -> Option<Pose> {
+/// About the pose, by planes through so many neighbouring points of trails: they meet in a point of the axis,
+/// from which the directions of a trail lie on a cone around it.
+fn from_planes(trails: &[Trail], count: usize) -> Option<Pose> {
     /// Iterations of least squares in which what deviates gets less weight.
     const ROUNDS: usize = 20;
     /// Metres, and sines of angles: what deviates by less has equal weight.
@@ -182,7 +182,7 @@ fn from_planes(tracks: &[Track], count: usize) -> Option<Pose> {
     const SMALL: f64 = 3e-3;
     /// Metres: nearer points tell no direction.
     const NEAREST: f64 = 0.3;
-    let windows: Vec<&[Vector3<f64>]> = tracks.iter().flat_map(|track| track.chunks_exact(count)).collect();
+    let windows: Vec<&[Vector3<f64>]> = trails.iter().flat_map(|trail| trail.chunks_exact(count)).collect();
     let planes = planes(&windows);
     if planes.len() < FEWEST {
         return None;
@@ -217,33 +217,33 @@ fn from_planes(tracks: &[Track], count: usize) -> Option<Pose> {
     Some(Pose { axis, apex, along: 0.0 })
 }
 
-/// The pose for which the points of each track lie on a cone, and their median distance from it, in radians, if
+/// The pose for which the points of each trail lie on a cone, and their median distance from it, in radians, if
 /// there is one near this pose. `most`: about how many points are used.
-fn refined(mut pose: Pose, tracks: &[Track], most: usize) -> Option<(Pose, f64)> {
+fn refined(mut pose: Pose, trails: &[Trail], most: usize) -> Option<(Pose, f64)> {
     const MOST_ROUNDS: usize = 30;
     /// Rounds, and the median distance from the cones, in radians, that a good start leaves after them.
     const SOON: [(usize, f64); 2] = [(6, 3e-3), (12, 3e-4)];
     /// Radians, or metres: a smaller step is the last.
     const LEAST: f64 = 1e-9;
-    /// Number of tracks that are enough, and fewest points of a track that are used.
-    const FEWEST_TRACKS: usize = 60;
+    /// Number of trails that are enough, and fewest points of a trail that are used.
+    const FEWEST_TRAILS: usize = 60;
     const FEWEST_USED: usize = 8;
-    let all: usize = tracks.iter().map(Vec::len).sum();
-    // Some tracks, or if there are few, some points of each.
-    let of_tracks = (all / most).min(tracks.len() / FEWEST_TRACKS).max(1);
-    let of_points = (all / of_tracks / most).max(1);
-    let used = |track: &Track| track.iter().step_by(of_points).copied().collect::<Track>();
-    let tracks = tracks.iter().step_by(of_tracks).map(used);
-    let tracks: Vec<Track> = tracks.filter(|track| track.len() >= FEWEST_USED).collect();
-    let mut weights: Vec<Vec<f64>> = tracks.iter().map(|track| vec![1.0; track.len()]).collect();
+    let all: usize = trails.iter().map(Vec::len).sum();
+    // Some trails, or if there are few, some points of each.
+    let of_trails = (all / most).min(trails.len() / FEWEST_TRAILS).max(1);
+    let of_points = (all / of_trails / most).max(1);
+    let used = |trail: &Trail| trail.iter().step_by(of_points).copied().collect::<Trail>();
+    let trails = trails.iter().step_by(of_trails).map(used);
+    let trails: Vec<Trail> = trails.filter(|trail| trail.len() >= FEWEST_USED).collect();
+    let mut weights: Vec<Vec<f64>> = trails.iter().map(|trail| vec![1.0; trail.len()]).collect();
     for round in 0..MOST_ROUNDS {
-        let (step, left) = step(&pose, &tracks, &mut weights)?;
+        let (step, left) = step(&pose, &trails, &mut weights)?;
         pose = pose.changed_by(&step);
         if SOON.iter().any(|(soon, most)| round == *soon && left > *most) {
             return None;
         }
         if step.amax() < LEAST || round + 1 == MOST_ROUNDS {
-            return Some((pose.with_start(&tracks, &weights), left));
+            return Some((pose.with_start(&trails, &weights), left));
         }
     }
     None
@@ -289,18 +289,18 @@ impl Pose {
 
     /// The pose with the start of the beams: at the height `up` and the distance `along` from the axis, all
     /// cones have `B = up - A along`.
-    fn with_start(&self, tracks: &[Track], weights: &[Vec<f64>]) -> Self {
+    fn with_start(&self, trails: &[Trail], weights: &[Vec<f64>]) -> Self {
         const ROUNDS: usize = 10;
         /// Metres: what deviates by less has equal weight; beams that start nearer to the axis start on it.
         const NEAR: f64 = 1e-5;
         const ON_AXIS: f64 = 1e-4;
         /// Slopes of steeper cones are known less well.
         const STEEPEST: f64 = 2.0;
-        let cones = tracks.iter().zip(weights).filter_map(|(track, weights)| {
-            let points = track.iter().map(|point| self.sighted(point, 0.0));
+        let cones = trails.iter().zip(weights).filter_map(|(trail, weights)| {
+            let points = trail.iter().map(|point| self.sighted(point, 0.0));
             let line =
                 Line::of(points.map(|seen| (seen.distance, seen.height)).zip(weights.iter().copied()))?;
-            (line.slope.abs() < STEEPEST).then_some(((line.slope, line.start), track.len() as f64))
+            (line.slope.abs() < STEEPEST).then_some(((line.slope, line.start), trail.len() as f64))
         });
         let cones: Vec<Weighted> = cones.collect();
         let fitted = |fit: fn(&[Weighted]) -> Line| {
@@ -358,7 +358,7 @@ impl Line {
     }
 }
 
-/// The lines of the heights of a track's points, and of each of their slopes, by distance from the axis.
+/// The lines of the heights of a trail's points, and of each of their slopes, by distance from the axis.
 fn lines(seen: &[Sighted], weights: &[f64]) -> [Line; 1 + UNKNOWNS] {
     let points = || seen.iter().zip(weights);
     let weight: f64 = weights.iter().sum();
@@ -380,44 +380,44 @@ fn lines(seen: &[Sighted], weights: &[f64]) -> [Line; 1 + UNKNOWNS] {
     })
 }
 
-/// A step of least squares towards a pose from which each track lies on a cone of its own, given the weights
+/// A step of least squares towards a pose from which each trail lies on a cone of its own, given the weights
 /// of the points, which it brings up to date. Returns the change, and the median of what deviations are left,
 /// in radians.
-fn step(pose: &Pose, tracks: &[Track], weights: &mut [Vec<f64>]) -> Option<(SVector<f64, UNKNOWNS>, f64)> {
+fn step(pose: &Pose, trails: &[Trail], weights: &mut [Vec<f64>]) -> Option<(SVector<f64, UNKNOWNS>, f64)> {
     /// Iterations in which what deviates gets less weight.
     const ROUNDS: usize = 3;
     const RIDGE: f64 = 1e-9;
     /// Radians: the least median deviation.
     const LEAST: f64 = 1e-8;
     type Row = SVector<f64, UNKNOWNS>;
-    let seen: Vec<Vec<Sighted>> = tracks
+    let seen: Vec<Vec<Sighted>> = trails
         .iter()
         .zip(&*weights)
-        .map(|(track, weights)| {
-            let flat = track.iter().map(|point| pose.sighted(point, 0.0));
+        .map(|(trail, weights)| {
+            let flat = trail.iter().map(|point| pose.sighted(point, 0.0));
             let heights = flat.map(|seen| (seen.distance, seen.height)).zip(weights.iter().copied());
             let slope = Line::of(heights).map_or(0.0, |line| line.slope);
-            track.iter().map(|point| pose.sighted(point, slope)).collect()
+            trail.iter().map(|point| pose.sighted(point, slope)).collect()
         })
         .collect();
     let (mut change, mut middle) = (Row::zeros(), f64::INFINITY);
     for _ in 0..ROUNDS {
-        // The cone of each track is eliminated.
+        // The cone of each trail is eliminated.
         let (mut system, mut right) = (SMatrix::<f64, UNKNOWNS, UNKNOWNS>::zeros(), Row::zeros());
         let mut rows: Vec<Vec<(f64, Row)>> = Vec::with_capacity(seen.len());
         for (seen, weights) in seen.iter().zip(&*weights) {
             let [height, slopes @ ..] = lines(seen, weights);
-            let of_track = seen.iter().map(|seen| {
+            let of_trail = seen.iter().map(|seen| {
                 let row =
                     [0, 1, 2, 3].map(|unknown| slopes[unknown].above(seen.distance, seen.slopes[unknown]));
                 (height.above(seen.distance, seen.height), Row::from(row))
             });
-            let of_track: Vec<(f64, Row)> = of_track.collect();
-            for ((miss, row), weight) in of_track.iter().zip(weights) {
+            let of_trail: Vec<(f64, Row)> = of_trail.collect();
+            for ((miss, row), weight) in of_trail.iter().zip(weights) {
                 system += row * row.transpose() * *weight;
                 right -= row * (miss * weight);
             }
-            rows.push(of_track);
+            rows.push(of_trail);
         }
         (0..UNKNOWNS).for_each(|place| system[(place, place)] *= 1.0 + RIDGE);
         change = system.cholesky()?.solve(&right);
