@@ -95,7 +95,7 @@ impl FrameParts {
         records.max(self.image.steps.cells().len() as u64)
     }
 
-    /// A frame with `records` records, to be decoded.
+    /// A frame with `records` records of which nothing else is known yet.
     pub fn of_records(records: usize, scanner: Option<&Scanner>) -> Self {
         let orientation = scanner.map_or_else(Orientation::default, Scanner::orientation);
         FrameParts { records, orientation, ..FrameParts::default() }
@@ -118,13 +118,12 @@ impl FrameParts {
             layout: scan.layout,
             prefix: scan.prefix,
             suffix: scan.suffix,
-            records: scan.records,
-            orientation: scanner.map_or_else(Orientation::default, Scanner::orientation),
-            ..FrameParts::default()
+            ..FrameParts::of_records(scan.records, scanner)
         };
         let bound = Bound::of(config.positions, config.intensity);
         let cloud = stages.timed(Stage::Conversion, || {
-            let cloud = frame.orientation.cloud_to_scanner(scan.cloud);
+            let mut cloud = scan.cloud;
+            frame.orientation.turn_to_scanner(&mut cloud.positions);
             let cloud = if scanner.is_some() { frame.undo_sort(cloud) } else { cloud };
             frame.undo_compensation(cloud, scanner, config)
         });
@@ -454,9 +453,7 @@ impl FrameParts {
         if let Some(compensation) = &self.compensation {
             compensation.apply(&mut cloud.positions, &self.channels);
         }
-        if !self.orientation.is_default() {
-            cloud.positions.iter_mut().for_each(|position| *position = self.orientation.to_file(*position));
-        }
+        self.orientation.turn_to_file(&mut cloud.positions);
         let order = self.file_order();
         cloud.channels = self.channels;
         if let Some(order) = order {

@@ -136,6 +136,11 @@ impl ScanFile {
     }
 }
 
+/// The scan of a sample with the most returns.
+pub fn fullest(sample: &[ScanFile]) -> Option<&ScanFile> {
+    sample.iter().max_by_key(|scan| scan.cloud.measured())
+}
+
 /// Squared 3-D distance of two positions, in square metres.
 pub fn squared_distance(a: &[f32; 3], b: &[f32; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum()

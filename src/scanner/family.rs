@@ -10,7 +10,7 @@ use super::{Coordinates, MOST_STEPS, Orientation, Projection, REACH, RangeImage,
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
-use crate::scan::{PointCloud, ScanFile, squared_distance};
+use crate::scan::{PointCloud, ScanFile, fullest, squared_distance};
 
 /// A scanner: the model that turns integers (beam or laser, azimuth tick, range steps) into the coordinates
 /// of a file, along its own axes.
@@ -77,15 +77,6 @@ impl From<Firings> for Scanner {
     }
 }
 
-/// The scans of a sample along the axes of a scanner.
-fn along_axes(sample: &[ScanFile], orientation: Orientation) -> Vec<ScanFile> {
-    let turned = |scan: &ScanFile| ScanFile {
-        cloud: orientation.cloud_to_scanner(scan.cloud.clone()),
-        ..scan.clone()
-    };
-    sample.iter().map(turned).collect()
-}
-
 impl Scanner {
     /// Fits a scanner to a sample of a stream's scans, as they were measured: of the families, the one that
     /// explains most of the points. None if none explains enough of them.
@@ -101,27 +92,26 @@ impl Scanner {
 
     fn of_sample(sample: &[ScanFile]) -> Option<Scanner> {
         let beams = || hdl64::fit(sample).map(Scanner::from);
-        let largest = sample.iter().max_by_key(|scan| scan.cloud.measured());
+        let fullest = fullest(sample)?;
+        let positions = &fullest.cloud.positions;
         // An evident HDL-64E is recognised quickly, whereas ruling out all other scanners takes long.
-        let evident = largest.filter(|scan| hdl64::is_evident(&scan.cloud.positions)).and_then(|_| beams());
+        let evident = if hdl64::is_evident(positions) { beams() } else { None };
         if evident.is_some() {
             return evident;
         }
         // If `firings` explains the scans, they are in firing order, which no other family has.
         let found = firings::fit(sample).map(|(scanner, _)| scanner);
-        let scan = largest;
-        let largest = largest.map_or(&[][..], |scan| &scan.cloud.positions);
-        let exact = found.as_ref().map_or(0.0, |scanner| scanner.reproduced_share(largest));
-        if let Some(found) = found.as_ref().filter(|scanner| scanner.reproduces_most(largest)) {
+        let exact = found.as_ref().map_or(0.0, |scanner| scanner.reproduced_share(positions));
+        if let Some(found) = found.as_ref().filter(|scanner| scanner.reproduces_most(positions)) {
             return Some(found.clone().into());
         }
-        let turned = scan.and_then(|scan| Self::with_other_axes(sample, scan, found.is_some()));
+        let turned = Self::with_other_axes(sample, fullest, found.is_some());
         if let Some((turned, _)) = turned.as_ref().filter(|(_, reproduces_most)| *reproduces_most) {
             return Some(turned.clone());
         }
         // Half of what is missed must be worth a motion.
         let is_better =
-            |scanner: &Firings| found.is_none() || scanner.reproduced_share(largest) > 0.5 * (1.0 + exact);
+            |scanner: &Firings| found.is_none() || scanner.reproduced_share(positions) > 0.5 * (1.0 + exact);
         let moved = by_time::fit(sample, found.as_ref());
         let mounted = || firings::fit_mounted(sample).map(|(scanner, _)| scanner).filter(is_better);
         let firings = moved.or_else(mounted).or(found).map(Scanner::from);
@@ -129,34 +119,45 @@ impl Scanner {
     }
 
     /// A scanner of firings for a sample whose files have other axes than it has, and whether it reproduces
-    /// most of the largest scan: the first that does or, unless `is_one`, the first one. `is_one`: one fits along
+    /// most of the fullest scan: the first that does or, unless `is_one`, the first one. `is_one`: one fits along
     /// the axes of the files, but does not reproduce most points.
-    fn with_other_axes(sample: &[ScanFile], largest: &ScanFile, is_one: bool) -> Option<(Scanner, bool)> {
+    fn with_other_axes(sample: &[ScanFile], fullest: &ScanFile, is_one: bool) -> Option<(Scanner, bool)> {
         /// Number of failed fits after which the other three or four orientations with the same axis up are
         /// tried: which axis is ahead matters to roundings, by which few scanners are found.
         const MAY_FAIL: [usize; 2] = [4, 0];
         let mut first = None;
-        let fit = |sample: &[ScanFile], orientation| firings::fit(&along_axes(sample, orientation));
-        for (four, may_fail) in Orientation::of_firings(&largest.cloud.positions).into_iter().zip(MAY_FAIL) {
+        let fit = |sample: &[ScanFile], orientation: Orientation| {
+            let turned = |scan: &ScanFile| {
+                let mut turned = scan.clone();
+                orientation.turn_to_scanner(&mut turned.cloud.positions);
+                turned
+            };
+            firings::fit(&sample.iter().map(turned).collect::<Vec<_>>())
+        };
+        for (four, may_fail) in Orientation::of_firings(&fullest.cloud.positions).into_iter().zip(MAY_FAIL) {
             // Roundings tell which of the four it is, if one of them fits.
             if is_one && !four.contains(&Orientation::default()) {
                 continue;
             }
             let mut failed = 0;
             for orientation in four.into_iter().filter(|orientation| !orientation.is_default()) {
-                let Some((found, _)) = fit(std::slice::from_ref(largest), orientation) else {
+                let Some((found, _)) = fit(std::slice::from_ref(fullest), orientation) else {
                     failed += 1;
                     if failed > may_fail {
                         break;
                     }
                     continue;
                 };
-                let turned = orientation.cloud_to_scanner(largest.cloud.clone());
-                if found.reproduces_most(&turned.positions) {
-                    let found = if sample.len() > 1 { fit(sample, orientation)?.0 } else { found };
-                    return Some((Scanner::from(found).oriented(orientation), true));
+                let mut positions = fullest.cloud.positions.clone();
+                orientation.turn_to_scanner(&mut positions);
+                let reproduces_most = found.reproduces_most(&positions);
+                let fit_all = || fit(sample, orientation).map(|(scanner, _)| scanner);
+                let found = if reproduces_most && sample.len() > 1 { fit_all()? } else { found };
+                let found = Scanner::from(found).oriented(orientation);
+                if reproduces_most {
+                    return Some((found, true));
                 }
-                first = first.or((!is_one).then(|| Scanner::from(found).oriented(orientation)));
+                first = first.or((!is_one).then_some(found));
             }
         }
         first.map(|first| (first, false))
@@ -171,6 +172,16 @@ impl Scanner {
     /// of the scanner.
     pub fn orientation(&self) -> Orientation {
         self.orientation
+    }
+
+    /// The points of a file along the axes of the scanner.
+    pub fn along_axes<'c>(&self, cloud: &'c PointCloud) -> Cow<'c, PointCloud> {
+        if self.orientation.is_default() {
+            return Cow::Borrowed(cloud);
+        }
+        let mut turned = cloud.clone();
+        self.orientation.turn_to_scanner(&mut turned.positions);
+        Cow::Owned(turned)
     }
 
     /// The share of a scan's points that are in its range image; of many points by an HDL-64E, of those in

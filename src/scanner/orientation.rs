@@ -10,7 +10,6 @@ use super::thinned;
 use crate::ground::angle;
 use crate::ground::error::{Error, Result};
 use crate::ground::rounding::round_ties_even;
-use crate::scan::PointCloud;
 
 /// For each axis of the scanner, the axis of the file and whether it is reversed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,10 +36,6 @@ impl Default for Orientation {
 }
 
 impl Orientation {
-    /// How many there are.
-    #[cfg(test)]
-    pub const COUNT: u64 = 48;
-
     /// The orientation of this number in the stream.
     ///
     /// # Errors
@@ -77,12 +72,18 @@ impl Orientation {
         of_file
     }
 
-    /// A file's points along the axes of the scanner.
-    pub fn cloud_to_scanner(self, mut cloud: PointCloud) -> PointCloud {
+    /// Brings positions of the file to the axes of the scanner.
+    pub fn turn_to_scanner(self, positions: &mut [[f32; 3]]) {
         if !self.is_default() {
-            cloud.positions.iter_mut().for_each(|position| *position = self.to_scanner(*position));
+            positions.iter_mut().for_each(|position| *position = self.to_scanner(*position));
         }
-        cloud
+    }
+
+    /// Brings positions along the axes of the scanner to those of the file.
+    pub fn turn_to_file(self, positions: &mut [[f32; 3]]) {
+        if !self.is_default() {
+            positions.iter_mut().for_each(|position| *position = self.to_file(*position));
+        }
     }
 
     /// This orientation of files whose axes are turned by another one already.
@@ -229,8 +230,10 @@ fn turns(positions: &[[f32; 3]], axis: usize) -> f64 {
 mod tests {
     use super::*;
 
+    const COUNT: u64 = 8 * ORDERS.len() as u64;
+
     fn all() -> impl Iterator<Item = Orientation> {
-        (0..Orientation::COUNT).map(|number| Orientation::of_number(number).unwrap())
+        (0..COUNT).map(|number| Orientation::of_number(number).unwrap())
     }
 
     #[test]
@@ -240,7 +243,7 @@ mod tests {
             assert!(all().take(number as usize).all(|other| other != orientation));
         }
         assert!(Orientation::of_number(0).unwrap().is_default());
-        assert!(Orientation::of_number(Orientation::COUNT).is_err());
+        assert!(Orientation::of_number(COUNT).is_err());
         assert!(Orientation::of_number(u64::MAX).is_err());
     }
 

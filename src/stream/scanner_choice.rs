@@ -1,5 +1,6 @@
 //! The scanners of a sequence: fitted to a sample of each track, or the article's.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -11,7 +12,8 @@ use crate::files::HeaderlessLayout;
 use crate::frame::settings::{EncoderConfig, ProjectionKind};
 use crate::ground::error::Result;
 use crate::ground::team::pool;
-use crate::scan::{PointCloud, ScanFile, sorted};
+use crate::scan::{PointCloud, ScanFile, fullest, sorted};
+use crate::scanner::firings::Firings;
 use crate::scanner::motion::{self, by_time};
 use crate::scanner::{self, Orientation, Scanner, hdl64};
 
@@ -130,19 +132,19 @@ impl DriveScanners {
         if !self.are_mixed {
             return own;
         }
-        let along_axes = |scanner: &Scanner| scanner.orientation().cloud_to_scanner(scan.cloud.clone());
+        let along_axes = |scanner: &Scanner| scanner.along_axes(&scan.cloud);
+        let measured = |scanner: &Scanner| {
+            Cow::Owned(as_measured(along_axes(scanner).into_owned(), config.undoes_compensation()))
+        };
         match self.track_by_points(own, along_axes) {
             (track, explained) if explained >= LEAST_SHARE => track,
-            _ => {
-                let undoes_compensation = config.undoes_compensation();
-                self.track_by_points(own, |scanner| as_measured(along_axes(scanner), undoes_compensation)).0
-            }
+            _ => self.track_by_points(own, measured).0,
         }
     }
 
     /// The track of the scanner that explains most of the points that it would see, and how much that is;
     /// `own` if none explains any.
-    fn track_by_points(&self, own: u8, seen_by: impl Fn(&Scanner) -> PointCloud) -> (u8, f64) {
+    fn track_by_points<'c>(&self, own: u8, seen_by: impl Fn(&Scanner) -> Cow<'c, PointCloud>) -> (u8, f64) {
         // Both, as units of the same model see about the same, but only one of them to the last bit.
         let explained = |scanner: &Scanner| {
             let cloud = seen_by(scanner);
@@ -224,8 +226,26 @@ impl<'a> Sampling<'a> {
             return Ok(None);
         }
         let scan = frame.clone().into_frame(self.headerless)?.scan;
-        let cloud = self.orientation.cloud_to_scanner(scan.cloud);
+        let mut cloud = scan.cloud;
+        self.orientation.turn_to_scanner(&mut cloud.positions);
         Ok(Some(ScanFile { cloud: as_measured(cloud, self.undoes_compensation), ..scan }))
+    }
+}
+
+impl Sampling<'_> {
+    /// The sampling along the scanner's axes, if these are rows of an HDL-64E in files with others. `sample` is
+    /// one along the axes of the files.
+    fn of_rows_with_other_axes(self, frames: &[&FrameInput], sample: &[ScanFile]) -> Result<Option<Self>> {
+        let orientation = fullest(sample).and_then(|scan| Orientation::of_rows(&scan.cloud.positions));
+        let Some(orientation) =
+            orientation.filter(|found| !found.is_default() && self.orientation.is_default())
+        else {
+            return Ok(None);
+        };
+        let turned = Sampling { orientation, ..self };
+        let sample = turned.sample(frames, turned.frames)?;
+        let is_evident = fullest(&sample).is_some_and(|scan| hdl64::is_evident(&scan.cloud.positions));
+        Ok(is_evident.then_some(turned))
     }
 }
 
@@ -235,22 +255,13 @@ fn fitted(frames: &[&FrameInput], sampling: Sampling) -> Result<Vec<Scanner>> {
     const SAMPLE_OF_MIXED: usize = 16;
     pool(sampling.threads)?.install(|| {
         let sample = sampling.sample(frames, sampling.frames)?;
-        if let Some(orientation) =
-            largest(&sample).and_then(|scan| Orientation::of_rows(&scan.cloud.positions))
-            && sampling.orientation.is_default()
-            && !orientation.is_default()
-        {
-            let turned = Sampling { orientation, ..sampling };
-            let is_evident = |scan: &ScanFile| hdl64::is_evident(&scan.cloud.positions);
-            if largest(&turned.sample(frames, turned.frames)?).is_some_and(is_evident) {
-                let found = fitted(frames, turned)?.into_iter();
-                return Ok(found
-                    .map(|scanner| {
-                        let orientation = scanner.orientation().after(orientation);
-                        scanner.oriented(orientation)
-                    })
-                    .collect());
-            }
+        if let Some(turned) = sampling.of_rows_with_other_axes(frames, &sample)? {
+            let found = fitted(frames, turned)?.into_iter();
+            let along_axes_of_file = |scanner: Scanner| {
+                let orientation = scanner.orientation().after(turned.orientation);
+                scanner.oriented(orientation)
+            };
+            return Ok(found.map(along_axes_of_file).collect());
         }
         let (found, explain_all) = fit_all(sample);
         if sampling.frames >= frames.len().min(SAMPLE_OF_MIXED) {
@@ -263,11 +274,6 @@ fn fitted(frames: &[&FrameInput], sampling: Sampling) -> Result<Vec<Scanner>> {
         };
         if are_mixed { Ok(fit_all(sampling.sample(frames, SAMPLE_OF_MIXED)?).0) } else { Ok(found) }
     })
-}
-
-/// The scan of a sample with the most returns.
-fn largest(sample: &[ScanFile]) -> Option<&ScanFile> {
-    sample.iter().max_by_key(|scan| scan.cloud.measured())
 }
 
 /// Whether the first two of these frames are of different scanners: if two scanners take turns, a sample that
@@ -301,14 +307,15 @@ fn without_scans_of(scanner: &Scanner, mut scans: Vec<ScanFile>) -> Vec<ScanFile
 /// Whether this scanner reproduces most of one of these scans to the last bit.
 fn reproduces_any<'s>(scanner: &Scanner, scans: impl IntoIterator<Item = &'s ScanFile>) -> bool {
     let own = scanner.firings();
-    let along_axes = |scan: &ScanFile| scanner.orientation().cloud_to_scanner(scan.cloud.clone());
-    own.is_some_and(|own| scans.into_iter().any(|scan| own.reproduces_most(&along_axes(scan).positions)))
+    let is_own =
+        |own: &Firings, scan: &ScanFile| own.reproduces_most(&scanner.along_axes(&scan.cloud).positions);
+    own.is_some_and(|own| scans.into_iter().any(|scan| is_own(own, scan)))
 }
 
 /// Whether a scan is of this scanner. `reproduces`: it reproduces others of the folder to the last bit.
 fn is_scan_of(scanner: &Scanner, scan: &ScanFile, reproduces: bool) -> bool {
     let own = scanner.firings();
-    let cloud = &scanner.orientation().cloud_to_scanner(scan.cloud.clone());
+    let cloud = &scanner.along_axes(&scan.cloud);
     // Units of the same model see about the same, but only one of them to the last bit.
     let reproduced = own.filter(|_| reproduces).map_or(1.0, |own| own.reproduced_share(&cloud.positions));
     // A scan that was moved by time stamps can be attributed to this scanner only after it is moved back.

@@ -14,7 +14,7 @@ use super::projection::{nearest, without_echoes};
 use super::{Build, Firings, Origin, Recipe, Timing};
 use crate::ground::angle::shorter_way;
 use crate::ground::rounding::round_ties_even;
-use crate::scan::{PointCloud, ScanFile};
+use crate::scan::{PointCloud, ScanFile, fullest};
 use crate::scanner::{Coordinates, REACH};
 
 /// Range steps of known scanners, in micrometres, coarse ones first: multiples of a step are also multiples
@@ -59,7 +59,7 @@ pub(super) fn fit_by(
     /// A share of the points that is worth another fit, and the largest number of these.
     const WORTH: f64 = 0.005;
     const MOST: usize = 2;
-    let mut seen = Cow::Borrowed(&sample.iter().max_by_key(|scan| scan.cloud.measured())?.cloud);
+    let mut seen = Cow::Borrowed(&fullest(sample)?.cloud);
     let mut found = fit_scan(&seen)?;
     for _ in 0..MOST {
         let explained = |cloud: &PointCloud| found.0.explained_share(&cloud.positions);

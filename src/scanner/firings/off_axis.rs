@@ -273,8 +273,8 @@ impl Maker {
 
 /// In hundredths of degrees: the largest offset that is tried.
 const FARTHEST: i32 = 6000;
-/// Where the beams of a manufacturer's scanner start that start this far from the axis, in metres, and by which
-/// part of a tick the azimuths of its lasers are more than whole ticks. The points are seen from the height at
+/// Where the beams of a manufacturer's scanner start that start this far from the axis, in metres, and by how
+/// many radians the azimuths of its lasers are more than whole ticks. The points are seen from the height at
 /// which the lines of the beams cross. `None` if there is no such scanner.
 pub(super) fn known_start(points: &[Point], along: f64) -> Option<(Origin, f64)> {
     /// Number of lasers, and of points of each, by which azimuths are compared.
@@ -328,7 +328,7 @@ pub(super) fn known_start(points: &[Point], along: f64) -> Option<(Origin, f64)>
         Some((coherence, maker.origin, common))
     });
     let best = starts.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(coherence, ..)| *coherence > COHERENT)?;
-    Some((best.1, best.2))
+    Some((best.1, best.2 / IN_TICKS))
 }
 
 /// A hundredth of a degree, in [`ANGLE_UNIT`].

@@ -144,8 +144,8 @@ fn reference_image(
     scanner: &Scanner,
     config: &EncoderConfig,
 ) -> (Scanner, RangeImage) {
-    let filtered = config.outliers.map_or_else(|| original.clone(), |filter| filter.filter(original));
-    let cloud = &scanner.orientation().cloud_to_scanner(filtered);
+    let filtered = config.outliers.map(|filter| filter.filter(original));
+    let cloud = &scanner.along_axes(filtered.as_ref().unwrap_or(original));
     match (config.projection, scanner.hdl64()) {
         (ProjectionKind::Ideal { .. }, Some(ideal)) => {
             let ideal = ideal.clone().with_range_step(FLOAT_RANGES);

@@ -8,9 +8,11 @@
 //! v = R p + T
 //! ```
 //! The [`TransformOrder`] of the operations and their precision are those of the program. `pose` finds where
-//! the scanner is and how it is turned from points alone; `fit` finds the numbers.
+//! the scanner is and how it is turned from points alone; `fit` the integers and the direction of azimuth 0; and
+//! `numbers` the numbers of R and T to the last bit.
 
 mod fit;
+mod numbers;
 mod pose;
 
 pub use fit::fit;

@@ -135,8 +135,8 @@ impl Plane {
 /// The median of some values; infinite if there are none.
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::INFINITY)
+    let middle = values.len() / 2;
+    if values.is_empty() { f64::INFINITY } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// The planes through so many neighbouring points of a trail each, where these determine one.
@@ -243,7 +243,8 @@ fn refined(mut pose: Pose, trails: &[Trail], most: usize) -> Option<(Pose, f64)>
             return None;
         }
         if step.amax() < LEAST || round + 1 == MOST_ROUNDS {
-            return Some((pose.with_start(&trails, &weights), left));
+            let pose = pose.with_start(&trails, &weights);
+            return pose.apex.iter().all(|metres| metres.is_finite()).then_some((pose, left));
         }
     }
     None
