@@ -102,3 +102,28 @@ fn line(motion: &RigidMotion) -> String {
     let numbers = rows.flat_map(|(row, along)| row.iter().copied().chain([along]).collect::<Vec<_>>());
     numbers.map(|number| format!("{number:.9e}")).collect::<Vec<_>>().join(" ")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn motions_are_along_the_axes_of_the_file() {
+        let pose = Pose { yaw: 0.1, pitch: -0.2, roll: 0.3, translation: [4.0, 5.0, 6.0] };
+        let moved = |motion: &RigidMotion, point: [f64; 3]| {
+            [0, 1, 2].map(|row| {
+                let turned: f64 = (0..3).map(|axis| motion.rotation[row][axis] * point[axis]).sum();
+                turned + motion.translation[row]
+            })
+        };
+        for number in 0..48 {
+            let orientation = Orientation::of_number(number).unwrap();
+            let point = [7.0, -8.0, 9.5];
+            let of_scanner = orientation.to_file(moved(&pose.motion(), orientation.to_scanner(point)));
+            let of_file = moved(&along_axes_of_file(&pose.motion(), orientation), point);
+            for (a, b) in of_scanner.into_iter().zip(of_file) {
+                assert!((a - b).abs() < 1e-12, "{orientation}: {of_file:?} instead of {of_scanner:?}");
+            }
+        }
+    }
+}
