@@ -105,7 +105,7 @@ impl Scanner {
         if let Some(found) = found.as_ref().filter(|scanner| scanner.reproduces_most(positions)) {
             return Some(found.clone().into());
         }
-        let turned = Self::with_other_axes(sample, fullest, found.is_some());
+        let turned = Self::with_other_axes(sample, fullest, found.as_ref());
         if let Some((turned, _)) = turned.as_ref().filter(|(_, reproduces_most)| *reproduces_most) {
             return Some(turned.clone());
         }
@@ -119,13 +119,25 @@ impl Scanner {
     }
 
     /// A scanner of firings for a sample whose files have other axes than it has, and whether it reproduces
-    /// most of the fullest scan: the first that does or, unless `is_one`, the first one. `is_one`: one fits along
-    /// the axes of the files, but does not reproduce most points.
-    fn with_other_axes(sample: &[ScanFile], fullest: &ScanFile, is_one: bool) -> Option<(Scanner, bool)> {
+    /// most of the fullest scan: the first that does or, unless there is one along the axes of the files, the
+    /// first one. `along_files`: that one, which does not reproduce most points.
+    fn with_other_axes(
+        sample: &[ScanFile],
+        fullest: &ScanFile,
+        along_files: Option<&Firings>,
+    ) -> Option<(Scanner, bool)> {
         /// Number of failed fits after which the other three or four orientations with the same axis up are
         /// tried: which axis is ahead matters to roundings, by which few scanners are found.
         const MAY_FAIL: [usize; 2] = [4, 0];
+        /// Minimum share of the points that one of the recipes reproduces along the right axes, though constants
+        /// were fitted along others.
+        const LEAST: f64 = 0.3;
         let mut first = None;
+        let by_recipes = along_files.and_then(Firings::as_written_by_all_recipes);
+        let may_fit = |positions: &[[f32; 3]]| {
+            let reproduces = |scanner: &Firings| scanner.reproduced_share(positions) > LEAST;
+            by_recipes.as_ref().is_none_or(|scanners| scanners.iter().any(reproduces))
+        };
         let fit = |sample: &[ScanFile], orientation: Orientation| {
             let turned = |scan: &ScanFile| {
                 let mut turned = scan.clone();
@@ -136,11 +148,16 @@ impl Scanner {
         };
         for (four, may_fail) in Orientation::of_firings(&fullest.cloud.positions).into_iter().zip(MAY_FAIL) {
             // Roundings tell which of the four it is, if one of them fits.
-            if is_one && !four.contains(&Orientation::default()) {
+            if along_files.is_some() && !four.contains(&Orientation::default()) {
                 continue;
             }
             let mut failed = 0;
             for orientation in four.into_iter().filter(|orientation| !orientation.is_default()) {
+                let mut positions = fullest.cloud.positions.clone();
+                orientation.turn_to_scanner(&mut positions);
+                if !may_fit(&positions) {
+                    continue;
+                }
                 let Some((found, _)) = fit(std::slice::from_ref(fullest), orientation) else {
                     failed += 1;
                     if failed > may_fail {
@@ -148,8 +165,6 @@ impl Scanner {
                     }
                     continue;
                 };
-                let mut positions = fullest.cloud.positions.clone();
-                orientation.turn_to_scanner(&mut positions);
                 let reproduces_most = found.reproduces_most(&positions);
                 let fit_all = || fit(sample, orientation).map(|(scanner, _)| scanner);
                 let found = if reproduces_most && sample.len() > 1 { fit_all()? } else { found };
@@ -157,7 +172,7 @@ impl Scanner {
                 if reproduces_most {
                     return Some((found, true));
                 }
-                first = first.or((!is_one).then_some(found));
+                first = first.or(along_files.is_none().then_some(found));
             }
         }
         first.map(|first| (first, false))

@@ -25,6 +25,13 @@ pub use range_image::{
     RangeImage, Return,
 };
 
+/// The median of some values; infinite if there are none.
+pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    let middle = values.len() / 2;
+    if values.is_empty() { f64::INFINITY } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
 /// At most about `count` of the values, evenly spaced.
 pub(crate) fn thinned<T>(values: &[T], count: usize) -> impl Iterator<Item = &T> {
     values.iter().step_by(values.len().div_ceil(count).max(1))

@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use std::fmt;
 use std::ops::Neg;
 
-use super::thinned;
+use super::{median, thinned};
 use crate::ground::angle;
 use crate::ground::error::{Error, Result};
 use crate::ground::rounding::round_ties_even;
@@ -147,9 +147,8 @@ impl Orientation {
         let passes =
             |[last, next]: &[[f32; 3]; 2]| last[0] > 0.0 && next[0] > 0.0 && last[1] < 0.0 && next[1] >= 0.0;
         let step = |[last, next]: [[f32; 3]; 2]| (sine(&next, 2) - sine(&last, 2)).abs();
-        let mut steps: Vec<f64> = pairs.filter(passes).map(step).collect();
-        steps.sort_unstable_by(f64::total_cmp);
-        steps.get(steps.len() / 2).copied().unwrap_or(0.0)
+        let mut steps = pairs.filter(passes).map(step).peekable();
+        if steps.peek().is_some() { median(steps) } else { 0.0 }
     }
 
     /// Those with this axis of the file up, or down if it is reversed, and axes that make a right-handed

@@ -47,7 +47,8 @@ const FOCAL_POINTS_UM: [i32; 4] = [41_910, 42_400, 58_630, 28_956];
 /// of the points that it explains; `None` if no scanner of this family explains enough of them.
 pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
     fit_by(sample, |cloud| {
-        fit_points(cloud, cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None)))
+        let points = cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None));
+        fit_points(cloud, points)
     })
 }
 
@@ -464,15 +465,14 @@ pub(super) fn elevations(points: &[Point], on_cone: f64) -> Option<Vec<f64>> {
     const MOST_LASERS: usize = 512;
     /// In metres: the elevations of nearer points are blurred. The second limit is for precise coordinates.
     const NEAREST: [f64; 2] = [0.3, 0.05];
+    let [far, near] = NEAREST;
     let step = (points.len() / (16 * SAMPLE)).max(1);
-    let sample = points.iter().step_by(step);
-    let heaps = |nearest: f64| {
-        let far = sample.clone().filter(|point| point.range > nearest);
-        let mut all: Vec<f64> = far.map(|point| point.elevation).collect();
-        all.sort_unstable_by(|a, b| b.total_cmp(a));
-        (narrow_heaps(&all, on_cone, fewest_of(all.len())), all.len())
-    };
-    let [far, near] = NEAREST.map(heaps);
+    let sample = points.iter().step_by(step).filter(|point| point.range > near);
+    let mut all: Vec<(f64, bool)> = sample.map(|point| (point.elevation, point.range > far)).collect();
+    all.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
+    let heaps = |all: Vec<f64>| (narrow_heaps(&all, on_cone, fewest_of(all.len())), all.len());
+    let far = heaps(all.iter().filter(|(_, is_far)| *is_far).map(|(elevation, _)| *elevation).collect());
+    let near = heaps(all.into_iter().map(|(elevation, _)| elevation).collect());
     let ((inside, found), all) = if near.0.0 > far.0.0 { near } else { far };
     let is_scanner =
         (FEWEST_LASERS..=MOST_LASERS).contains(&found.len()) && inside as f64 >= LEAST_SHARE * all as f64;

@@ -43,17 +43,21 @@ use std::f64::consts::TAU;
 use std::fmt;
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use pulp::NullaryFnOnce;
 
 use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
-use crate::scanner::{BeamConstants, Coordinates, Hdl64, RangeImage, Return};
+use crate::scanner::{BeamConstants, Coordinates, Hdl64, RangeImage, Return, median};
 use recipe::{Arithmetic, MOST_LOCATED, TurnTable};
 use timing::{BlockTimes, Span};
 
 /// Degrees per unit of a laser's constants.
 const ANGLE_UNIT: f64 = 1e-9;
+/// A thousandth of a degree in this unit.
+const THOUSANDTH: i64 = 1_000_000;
 
 /// The constants of a laser, as stored in the stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -225,6 +229,27 @@ impl Firings {
     fn with_timing(self, timing: Timing) -> Self {
         let passed = BlockTimes::new(&timing, self.rows());
         Firings { build: Build { timing, ..self.build }, passed, ..self }
+    }
+
+    /// This scanner by each of the recipes, for files that hold firing after firing; the angles of its lasers
+    /// are rounded to thousandths of degrees, as manufacturers write them. `None` if most of its angles are not
+    /// near thousandths.
+    pub fn as_written_by_all_recipes(&self) -> Option<Vec<Self>> {
+        /// Largest median distance; that of angles that have more digits is a quarter of a thousandth.
+        const NEAR: f64 = 0.1 * THOUSANDTH as f64;
+        let written = |angle: i64| (angle + THOUSANDTH / 2).div_euclid(THOUSANDTH) * THOUSANDTH;
+        let off = self.lasers.iter().map(|laser| (laser.elevation - written(laser.elevation)).abs() as f64);
+        if median(off) > NEAR {
+            return None;
+        }
+        let lasers = self.lasers.iter();
+        let lasers = lasers.map(|l| Laser { elevation: written(l.elevation), azimuth: written(l.azimuth) });
+        let lasers: Vec<Laser> = lasers.collect();
+        let by = |recipe: Recipe| {
+            let build = Build { recipe, ..self.build.clone() };
+            Firings::new(build, lasers.clone(), self.rows_of_slots.clone())
+        };
+        Some(Recipe::ALL.into_par_iter().map(by).collect())
     }
 
     /// A scanner with this laser alone, for the fit.

@@ -14,7 +14,7 @@ use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
 use crate::ground::angle;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{Channel, PointCloud};
-use crate::scanner::{Coordinates, REACH, Return, thinned};
+use crate::scanner::{Coordinates, REACH, Return, median, thinned};
 
 /// A manufacturer's scanner whose beams start away from the axis.
 struct Maker {
@@ -73,28 +73,52 @@ impl Maker {
     }
 }
 
+/// The points of each laser.
+struct Rows<'p> {
+    points: Vec<Vec<Point<'p>>>,
+    /// Where the lines of the beams cross: the distance from the axis, and the height, in metres.
+    start: [f64; 2],
+}
+
+impl<'p> Rows<'p> {
+    fn of(points: Vec<Vec<Point<'p>>>) -> Option<Self> {
+        let start = line_start(&points)?;
+        Some(Rows { points, start })
+    }
+}
+
 impl ScanFacts<'_> {
     /// Scanners whose beams start away from the axis and that may have measured the scan: those of the
     /// manufacturer whose scanner reproduces the most points.
     pub(super) fn off_axis(&self) -> Option<Vec<Firings>> {
         /// Number of points by which the manufacturer is determined.
         const SAMPLED: usize = 6000;
+        /// Number of points that show where no beams start.
+        const FEW: usize = 16_000;
         let sample: Vec<&Point> = thinned(&self.points, SAMPLED).collect();
         let positions: Vec<[f32; 3]> =
             sample.iter().map(|point| point.position.map(|metres| metres as f32)).collect();
         // How points were moved may not be known to the last bit yet.
         let are_moved = sample.iter().any(|point| point.moved.is_some());
-        let by_key = self.rows_by_channel();
+        let by_channel = self.rows_by_channel().map(Rows::of);
         let candidates = MAKERS.par_iter().filter_map(|maker| {
-            let rows = match &by_key {
-                Some(rows) => rows.clone(),
-                None => self.rows_by_elevation(maker)?,
+            let by_elevation;
+            let Rows { points: rows, start } = match &by_channel {
+                Some(by_channel) => by_channel.as_ref()?,
+                None => {
+                    let few = Rows::of(self.rows_by_elevation(maker, FEW)?)?;
+                    if !maker.is_like(few.start) {
+                        return None;
+                    }
+                    by_elevation = Rows::of(self.rows_by_elevation(maker, usize::MAX)?)?;
+                    &by_elevation
+                }
             };
-            if !maker.is_like(line_start(&rows)?) {
+            if !maker.is_like(*start) {
                 return None;
             }
             let of_recipe = |recipe: Recipe| {
-                let scanner = self.of_maker(maker, recipe, &rows)?;
+                let scanner = self.of_maker(maker, recipe, rows)?;
                 let reach = 0.5 * scanner.range_step_m() + 1e-5;
                 let places = scanner.places(&positions, reach);
                 let is_exact = |place: &&Place| {
@@ -164,12 +188,10 @@ impl ScanFacts<'_> {
                 groups.map(|group| group.iter().map(|(_, place)| self.points[*place]).collect()).collect();
             let (mut near, mut all) = (0, 0);
             for row in &rows {
-                let mut elevations: Vec<f64> =
-                    row.iter().filter(|point| point.range > 2.0).map(|point| point.elevation).collect();
-                elevations.sort_by(f64::total_cmp);
-                let middle = elevations.get(elevations.len() / 2).copied().unwrap_or(0.0);
-                all += elevations.len();
-                near += elevations.iter().filter(|elevation| (*elevation - middle).abs() < SPREAD).count();
+                let elevations = row.iter().filter(|point| point.range > 2.0).map(|point| point.elevation);
+                let middle = median(elevations.clone());
+                all += elevations.clone().count();
+                near += elevations.filter(|elevation| (*elevation - middle).abs() < SPREAD).count();
             }
             (all > 0 && near * 10 > all * 9).then_some(rows)
         };
@@ -177,16 +199,16 @@ impl ScanFacts<'_> {
         channels.filter(|channel| channel.field.width() <= 4 && !channel.field.name.is_empty()).find_map(of)
     }
 
-    /// The points of each laser: narrow clusters of elevations as seen from where a maker's beams start.
-    fn rows_by_elevation(&self, maker: &Maker) -> Option<Vec<Vec<Point<'_>>>> {
+    /// The points of each laser, among at most about `most`: narrow clusters of elevations as seen from where a
+    /// maker's beams start.
+    fn rows_by_elevation(&self, maker: &Maker, most: usize) -> Option<Vec<Vec<Point<'_>>>> {
         /// In metres: points that are nearer do not count, in one attempt after the other.
         const NEAREST: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
         /// Of the points that are left, at least one in this number is of each laser.
         const PART: usize = 40;
         let (along, [_, up]) = (maker.along(), maker.origin.metres());
-        let moved: Vec<Point> = self
-            .points
-            .iter()
+        let points = || thinned(&self.points, most);
+        let moved: Vec<Point> = points()
             .map(|point| {
                 let [x, y, z] = point.position;
                 let rho = (x * x + y * y).sqrt() - along;
@@ -207,7 +229,7 @@ impl ScanFacts<'_> {
             elevations.sort_unstable_by(|a, b| b.total_cmp(a));
         }
         let mut rows = vec![Vec::new(); elevations.len()];
-        for (point, moved) in self.points.iter().zip(&moved) {
+        for (point, moved) in points().zip(&moved) {
             let row = nearest(&elevations, moved.elevation);
             if (elevations[row] - moved.elevation).abs() < 10.0 * ON_CONE {
                 rows[row].push(*point);
@@ -303,7 +325,7 @@ pub(super) fn known_start(points: &[Point], along: f64) -> Option<(Origin, f64)>
             blur: Blur::default(),
             nearest: 0.0,
         };
-        let mut rows = facts.rows_by_elevation(maker)?;
+        let mut rows = facts.rows_by_elevation(maker, usize::MAX)?;
         rows.iter_mut().for_each(|row| row.retain(|point| point.range > NEAREST));
         rows.sort_by_key(|row| std::cmp::Reverse(row.len()));
         let of_rows = rows.iter().take(ROWS).map(|row| {
@@ -488,9 +510,7 @@ pub(super) fn beam_line(points: &[Point]) -> Option<[f64; 2]> {
 fn steady_line(pairs: &[[f64; 2]]) -> Option<[f64; 2]> {
     let (slope, height) = line(pairs.iter())?;
     let off = |pair: &&[f64; 2]| (slope * pair[0] + height - pair[1]).abs();
-    let mut all: Vec<f64> = pairs.iter().map(|pair| off(&pair)).collect();
-    all.sort_by(f64::total_cmp);
-    let limit = 3.0 * all[all.len() / 2] + 1e-7;
+    let limit = 3.0 * median(pairs.iter().map(|pair| off(&pair))) + 1e-7;
     line(pairs.iter().filter(|pair| off(pair) <= limit)).map(|(slope, height)| [slope, height])
 }
 

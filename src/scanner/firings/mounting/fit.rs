@@ -26,8 +26,8 @@ use crate::scanner::firings::off_axis::known_start;
 use crate::scanner::firings::order::{FiringOrder, lines, order, vlp_16};
 use crate::scanner::firings::projection::{Sight, nearest};
 use crate::scanner::firings::recipe::{Axes, whole_steps};
-use crate::scanner::firings::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
-use crate::scanner::{Coordinates, Return, thinned};
+use crate::scanner::firings::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, THOUSANDTH, Timing};
+use crate::scanner::{Coordinates, Return, median, thinned};
 
 /// Number of points that are used for counting and comparing.
 const SAMPLE: usize = 8000;
@@ -464,9 +464,6 @@ fn whole_ticks(mut sequence: Vec<(usize, u32)>, elevations: &[f64], ticks: u32) 
     shifts.into_iter().map(|shift| shift - middle).collect()
 }
 
-/// A thousandth of a degree, in the unit of [`Laser`].
-const THOUSANDTH: i64 = 1_000_000;
-
 /// A direction of azimuth 0.
 #[derive(Clone, Copy)]
 struct Direction {
@@ -513,11 +510,7 @@ fn all_as_written(degrees: &[f64], grids: &[f64]) -> Vec<i64> {
     /// In degrees: how near an angle must be to be rounded.
     const NEAR: f64 = 2.5e-4;
     let on_grid = |degrees: f64, grid: f64| round_ties_even(degrees / grid) * grid;
-    let off = |grid: f64| {
-        let mut off: Vec<f64> = degrees.iter().map(|&angle| (angle - on_grid(angle, grid)).abs()).collect();
-        off.sort_by(f64::total_cmp);
-        off.get(off.len() / 2).copied().unwrap_or_default()
-    };
+    let off = |grid: f64| median(degrees.iter().map(|&angle| (angle - on_grid(angle, grid)).abs()));
     let grid = grids.iter().copied().min_by(|a, b| off(*a).total_cmp(&off(*b)));
     let grid = grid.filter(|grid| off(*grid) < MOST_NEAR);
     let written = |&angle: &f64| {

@@ -10,7 +10,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use crate::scanner::thinned;
+use crate::scanner::{median, thinned};
 
 /// The axis of a scanner, and where its beams start, in metres.
 #[derive(Clone, Copy, Debug)]
@@ -95,28 +95,84 @@ fn trails(points: &[Vector3<f64>], middle: &Vector3<f64>, turned: f64) -> Vec<Tr
     const NEAR: f64 = 0.02;
     /// Number of points after which a trail is given up, when another one begins.
     const PATIENCE: usize = 400;
+    /// Number of points after which those to be given up are looked for again.
+    const INTERVAL: usize = 50;
     let points = &points[..points.len().min(MOST)];
     let mut trails: Vec<Trail> = Vec::new();
-    // The last point of each trail that is not given up, its number in the file, and the trail.
-    let mut ends: Vec<(Vector3<f64>, usize, usize)> = Vec::new();
+    let mut ends = Ends::default();
+    let mut next = INTERVAL;
     for (number, point) in points.iter().enumerate() {
-        let reach = NEAR + turned * (point - middle).norm();
-        let distances = ends.iter().map(|(end, ..)| (point - end).norm_squared()).enumerate();
-        let nearest = distances.min_by(|a, b| a.1.total_cmp(&b.1));
-        match nearest.filter(|(_, square)| *square < reach * reach) {
-            Some((place, _)) => {
-                let trail = ends[place].2;
-                ends[place] = (*point, number, trail);
-                trails[trail].push(*point);
+        let from_middle = point - middle;
+        let reach = NEAR + turned * from_middle.norm();
+        let place = from_middle.map(|metres| metres as f32);
+        match ends.nearest(&place).filter(|(_, square)| f64::from(*square) < reach * reach) {
+            Some((end, _)) => {
+                trails[ends.trails[end].0].push(*point);
+                ends.set(end, &place, number);
             }
             None => {
-                ends.retain(|(_, last, _)| number - last < PATIENCE);
-                ends.push((*point, number, trails.len()));
+                if number >= next {
+                    ends.give_up(number.saturating_sub(PATIENCE));
+                    next = number + INTERVAL;
+                }
+                ends.push(&place, (trails.len(), number));
                 trails.push(vec![*point]);
             }
         }
     }
     trails
+}
+
+/// The last point of each trail that is not given up, coordinate by coordinate.
+#[derive(Default)]
+struct Ends {
+    coordinates: [Vec<f32>; 3],
+    /// Of each: the trail, and the number of the point.
+    trails: Vec<(usize, usize)>,
+    /// Squares of distances, kept for their memory.
+    squares: Vec<f32>,
+}
+
+impl Ends {
+    /// The first of the ends nearest to a point, and the square of its distance.
+    fn nearest(&mut self, point: &Vector3<f32>) -> Option<(usize, f32)> {
+        const LANES: usize = 8;
+        let [x, y, z] = &self.coordinates;
+        let square = |((x, y), z): ((&f32, &f32), &f32)| {
+            let (x, y, z) = (x - point.x, y - point.y, z - point.z);
+            x * x + y * y + z * z
+        };
+        self.squares.clear();
+        self.squares.extend(x.iter().zip(y).zip(z).map(square));
+        let lesser = |a: f32, b: f32| if b < a { b } else { a };
+        let (whole, rest) = self.squares.as_chunks::<LANES>();
+        let lanes = whole.iter().fold([f32::INFINITY; LANES], |mut least, squares| {
+            least.iter_mut().zip(squares).for_each(|(least, square)| *least = lesser(*least, *square));
+            least
+        });
+        let least = lanes.iter().chain(rest).copied().fold(f32::INFINITY, lesser);
+        let place = self.squares.iter().position(|square| *square == least)?;
+        Some((place, least))
+    }
+
+    fn set(&mut self, place: usize, point: &Vector3<f32>, number: usize) {
+        self.coordinates.iter_mut().zip(point).for_each(|(values, value)| values[place] = *value);
+        self.trails[place].1 = number;
+    }
+
+    fn push(&mut self, point: &Vector3<f32>, trail: (usize, usize)) {
+        self.coordinates.iter_mut().zip(point).for_each(|(values, value)| values.push(*value));
+        self.trails.push(trail);
+    }
+
+    /// Removes those whose points are before this number.
+    fn give_up(&mut self, number: usize) {
+        for values in &mut self.coordinates {
+            let mut trails = self.trails.iter();
+            values.retain(|_| trails.next().is_some_and(|(_, last)| *last >= number));
+        }
+        self.trails.retain(|(_, last)| *last >= number);
+    }
 }
 
 /// A plane through neighbouring points.
@@ -130,13 +186,6 @@ impl Plane {
     fn distance(&self, point: &Vector3<f64>) -> f64 {
         self.normal.dot(&(self.middle - point)).abs()
     }
-}
-
-/// The median of some values; infinite if there are none.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    let middle = values.len() / 2;
-    if values.is_empty() { f64::INFINITY } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// The planes through so many neighbouring points of a trail each, where these determine one.
