@@ -11,6 +11,7 @@ use super::blur::Blur;
 use super::constants::{Constants, LaserFit, Moved, Point, TRIED, by_rows, near_axes};
 use super::order::{FiringOrder, STEADY, VLP_16, lines, order, timed, vlp_16};
 use super::projection::{nearest, without_echoes};
+use super::timing::Span;
 use super::{Build, Firings, Origin, Recipe, Timing};
 use crate::ground::angle::shorter_way;
 use crate::ground::rounding::round_ties_even;
@@ -280,7 +281,20 @@ impl ScanFacts<'_> {
         };
         let mut from_one_point =
             FromOnePoint { found: self, constants, build, lines, determined: Vec::new() };
-        Some([own, known].into_iter().flatten().flat_map(|order| from_one_point.scanners(&order)).collect())
+        let of_known = known.map(|order| from_one_point.scanners(&order)).unwrap_or_default();
+        // How a VLP-16's azimuth advances need not be estimated.
+        if of_known.iter().any(|scanner| self.shows_timing_of(scanner)) {
+            return Some(of_known);
+        }
+        let of_own = own.map(|order| from_one_point.scanners(&order)).unwrap_or_default();
+        Some(of_own.into_iter().chain(of_known).collect())
+    }
+
+    /// Whether a scanner explains nearly all points, and its azimuth advances while its lasers fire.
+    fn shows_timing_of(&self, scanner: &Firings) -> bool {
+        let image = scanner.project(self.cloud, REACH).image;
+        let advancing = image.spans.iter().filter(|span| Span::unpacked(**span).ticks > 0).count();
+        image.returns() as f64 > NEARLY_ALL * self.measured as f64 && 2 * advancing > image.columns.len()
     }
 
     /// The rows of the points, whose beams all start in one point.

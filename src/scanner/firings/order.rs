@@ -311,6 +311,8 @@ fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
 pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Option<Firings> {
     /// Largest number of rounds until neither parts nor lags change.
     const ROUNDS: usize = 8;
+    /// Number of places that show parts and lags roughly.
+    const FEW: usize = 16_000;
     let rows = scanner.rows();
     let mut scanner = scanner.clone();
     // Only ticks that are certain tell which part has passed.
@@ -320,9 +322,12 @@ pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Opti
         let of_parts = parts.iter().map(|part| (part * f64::from(WHOLE)) as u32);
         scanner.with_timing(Timing::Parts(of_parts.collect()))
     };
-    for _ in 0..ROUNDS {
+    let is_by_firings = scanner.rows_of_lines.is_empty();
+    let mut used = if is_by_firings { FEW.min(places.len()) } else { places.len() };
+    for round in 0..ROUNDS {
+        used = if 2 * round < ROUNDS { used } else { places.len() };
         scanner = with_parts(scanner, &parts);
-        let columns = scanner.columns(&places);
+        let columns = scanner.columns(&places[..used]);
         // For each slot of each firing: the ticks to the next block, and the ticks since this one began.
         let mut seen: Vec<Vec<(u32, i64)>> = vec![Vec::new(); parts.len()];
         for column in columns.iter().filter(|column| column.span.ticks > 0) {
@@ -340,11 +345,14 @@ pub(super) fn timed(scanner: &Firings, places: &[Place], firings: usize) -> Opti
             });
         } else {
             for (part, seen) in parts.iter_mut().zip(seen) {
-                *part = part_of(seen, 1).map_or(*part, |(part, _)| part);
+                *part = part_of(&counted(seen), 0, 1).map_or(*part, |(part, _)| part);
             }
         }
         if last.0 == parts && last.1 == scanner.lags {
-            break;
+            if used == places.len() {
+                break;
+            }
+            used = places.len();
         }
     }
     Some(with_parts(scanner, &parts))
@@ -385,14 +393,13 @@ fn relagged(
     let mut lags = scanner.lags.clone();
     for (slot, (seen, still)) in seen.into_iter().zip(still).enumerate() {
         let step = (seen.len() / COLUMNS).max(1);
-        let seen: Vec<(u32, i64)> = seen.into_iter().step_by(step).collect();
+        let seen = counted(seen.into_iter().step_by(step).collect());
         let still: Vec<i64> = still.into_iter().step_by(step).collect();
-        let span = seen.iter().map(|(span, _)| i64::from(*span)).max().unwrap_or(0).min(WIDEST);
+        let span = seen.iter().map(|((span, _), _)| i64::from(*span)).max().unwrap_or(0).min(WIDEST);
         let mut best: Option<(usize, f64, i64)> = None;
         let rising = (0..MOST_BLOCKS * span).flat_map(|later| [later, -later]);
         for later in rising {
-            let moved = seen.iter().map(|(span, passed)| (*span, passed + later)).collect();
-            let Some((part, count)) = part_of(moved, MOST_BLOCKS) else { continue };
+            let Some((part, count)) = part_of(&seen, later, MOST_BLOCKS) else { continue };
             let count = count + still.iter().filter(|passed| **passed + later == 0).count();
             if best.is_none_or(|(most, ..)| count > most) {
                 best = Some((count, part, later));
@@ -406,17 +413,26 @@ fn relagged(
     scanner.lagging(lags)
 }
 
-/// The part of a block, or of up to `most` blocks, that explains the most ticks, and how many. Each element
-/// of `seen` has the ticks to the next block and those since this one began.
-fn part_of(mut seen: Vec<(u32, i64)>, most: i64) -> Option<(f64, usize)> {
-    seen.retain(|(span, ticks)| (0..most * i64::from(*span)).contains(ticks));
+/// The ticks to the next block and those since this one began, with how many places have the same.
+type Counted = ((u32, i64), i64);
+
+/// The same ticks of places, counted.
+fn counted(mut seen: Vec<(u32, i64)>) -> Vec<Counted> {
     seen.sort_unstable();
+    seen.chunk_by(|a, b| a == b).map(|same| (same[0], same.len() as i64)).collect()
+}
+
+/// The part of a block, or of up to `most` blocks, that explains the most ticks, and how many, if this one
+/// began so many ticks earlier.
+fn part_of(seen: &[Counted], earlier: i64, most: i64) -> Option<(f64, usize)> {
     // Where the interval of possible parts begins and ends for each element, and its number of points.
     let mut ends: Vec<(f64, i64)> = Vec::new();
-    for same in seen.chunk_by(|a, b| a == b) {
-        let ((span, ticks), count) = (same[0], same.len() as i64);
-        ends.push((ticks as f64 / f64::from(span), count));
-        ends.push(((ticks + 1) as f64 / f64::from(span), -count));
+    for &((span, ticks), count) in seen {
+        let ticks = ticks + earlier;
+        if (0..most * i64::from(span)).contains(&ticks) {
+            ends.push((ticks as f64 / f64::from(span), count));
+            ends.push(((ticks + 1) as f64 / f64::from(span), -count));
+        }
     }
     ends.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (mut inside, mut best) = (0, None);
