@@ -14,7 +14,8 @@ use lidarpc::internals::ground::varint::write_unsigned;
 use lidarpc::internals::models::ByteModel;
 use lidarpc::internals::scan::{Field, Layout, Scalar, Wrapping};
 use lidarpc::internals::scanner::hdl64::ColumnModel;
-use lidarpc::internals::scanner::{BeamConstants, Coordinates, Hdl64, Scanner};
+use lidarpc::internals::scanner::hdl64::{BeamConstants, Hdl64};
+use lidarpc::internals::scanner::{Coordinates, Scanner};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 

@@ -5,9 +5,10 @@ use lidarpc::internals::files::parse;
 use lidarpc::internals::inter::registration::{
     Pose, Registration, RegistrationConfig, RegistrationMethod, RigidMotion, Surface, register,
 };
-use lidarpc::internals::scanner::Hdl64;
+use lidarpc::internals::scanner::hdl64::Hdl64;
 use lidarpc::internals::scanner::hdl64::fit;
-use lidarpc::internals::scanner::{REACH, RangeImage, project};
+use lidarpc::internals::scanner::hdl64::project;
+use lidarpc::internals::scanner::{REACH, RangeImage};
 use lidarpc::internals::study::synth::{SynthConfig, SynthFrame, drive};
 
 /// Images of a drive, and the motion that led to each of them except the first.

@@ -20,8 +20,9 @@ use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
 use crate::models::{OrderExceptions, PointTrail, RecordContext};
 use crate::scan::{Channel, Layout, PointCloud, ScanFile, sorted};
+use crate::scanner::hdl64::project_nearest;
 use crate::scanner::motion::{self, Compensation, by_time};
-use crate::scanner::{Orientation, Projection, REACH, RangeImage, Return, Scanner, project_nearest};
+use crate::scanner::{Orientation, Projection, REACH, RangeImage, Return, Scanner};
 
 /// The parts of a frame, as the sections code them.
 #[derive(Clone, Debug, Default)]

@@ -12,7 +12,8 @@ use std::sync::OnceLock;
 
 use crate::ground::grid::Grid;
 use crate::inter::registration::{RigidMotion, Surface};
-use crate::scanner::{Hdl64, MOST_STEPS, RangeImage, Scanner};
+use crate::scanner::hdl64::Hdl64;
+use crate::scanner::{MOST_STEPS, RangeImage, Scanner};
 use render::render;
 
 /// A column of the frame before may be this many ticks away from the current one.

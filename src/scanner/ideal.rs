@@ -4,7 +4,8 @@
 
 use std::f64::consts::TAU;
 
-use super::{BeamConstants, Coordinates, Hdl64, Scanner};
+use super::hdl64::{BeamConstants, Hdl64};
+use super::{Coordinates, Scanner};
 
 /// Elevation of the highest beam of the HDL-64E's upper block, in degrees (user's manual).
 const UPPER_TOP: f64 = 2.0;

@@ -13,11 +13,6 @@ mod range_image;
 
 pub use coordinates::{Coordinates, nearest_millimetre};
 pub use family::{ColumnModels, Family, Scanner};
-pub use hdl64::{
-    Alignment, BeamConstants, Hdl64, RANGE_STEP_UM, Refinement, Sighting, fit, positions, project,
-    project_nearest, sine_and_cosine,
-};
-pub(crate) use hdl64::{BeamPoint, split_beams};
 pub use ideal::{ideal, ideal_of};
 pub use orientation::Orientation;
 pub use range_image::{

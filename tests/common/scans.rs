@@ -2,7 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use lidarpc::internals::scanner::sine_and_cosine;
+use lidarpc::internals::scanner::hdl64::sine_and_cosine;
 use lidarpc::internals::study::synth::{Beam, STEP, SynthConfig, TICKS, drive, scanner_beams};
 
 const TICK_DEGREES: f64 = 0.09;

@@ -30,7 +30,7 @@ impl ContourModel {
     /// Codes the labels (rows x columns) of the cells that hold a return. The encoder's must be numbered as
     /// by [`renumber`]; a decoder's are ignored except for their size. Returns the number of regions.
     ///
-    /// Rows should be [aligned](crate::scanner::Alignment::align), since vertical borders are cheap.
+    /// Rows should be [aligned](crate::scanner::hdl64::Alignment::align), since vertical borders are cheap.
     ///
     /// # Errors
     /// If the stream refers to a region that does not exist.

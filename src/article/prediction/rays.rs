@@ -1,7 +1,7 @@
 //! The rays of a range image. FORMAT.md 8.12.
 
 use super::surface::SurfaceModel;
-use crate::scanner::Hdl64;
+use crate::scanner::hdl64::Hdl64;
 
 /// The direction of each pixel of a range image.
 pub struct Rays<'a> {

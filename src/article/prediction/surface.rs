@@ -2,7 +2,7 @@
 //! predict. FORMAT.md 8.12.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::scanner::Hdl64;
+use crate::scanner::hdl64::Hdl64;
 
 /// Plane parameters are in units of 2^-22 per metre: 3 mm of range at 100 m.
 const PLANE_UNIT: f64 = 1.0 / (1 << 22) as f64;

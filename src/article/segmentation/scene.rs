@@ -3,8 +3,8 @@
 use std::f64::consts::TAU;
 
 use crate::ground::grid::Grid;
-use crate::scanner::Alignment;
-use crate::scanner::Hdl64;
+use crate::scanner::hdl64::Alignment;
+use crate::scanner::hdl64::Hdl64;
 
 use super::neighbours::Cell;
 

@@ -1,6 +1,7 @@
 use super::*;
 use crate::scanner::RangeImage;
-use crate::scanner::{BeamConstants, Coordinates, ideal};
+use crate::scanner::hdl64::BeamConstants;
+use crate::scanner::{Coordinates, ideal};
 
 /// The image of a scene: `range` returns the range in metres, if any, for the elevation and the azimuth
 /// (radians) of a beam.

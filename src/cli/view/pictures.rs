@@ -8,7 +8,7 @@ use crate::cli::args::PictureKind;
 use crate::frame::DecodedImage;
 use crate::frame::settings::EncoderConfig;
 use crate::ground::grid::Grid;
-use crate::scanner::Alignment;
+use crate::scanner::hdl64::Alignment;
 use crate::study::picture::{self, LabelStyle, Picture, Scale, Zoom};
 
 /// All pictures of the range image and their titles, in the order of the coding steps.

@@ -13,8 +13,8 @@ pub use projective::columns_by_tick;
 pub use surface::{Surface, Surfel, dot};
 
 use crate::ground::error::{Error, Result};
-use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
+use crate::scanner::hdl64::Hdl64;
 #[cfg(feature = "article")]
 use icp::NearestPoints;
 use projective::Aim;

@@ -10,8 +10,8 @@ use nalgebra::{Matrix6, Vector3, Vector6};
 use super::pose::{Pose, RigidMotion};
 use super::surface::{Surface, Surfel, dot};
 use super::{Step, evenly, small_step};
-use crate::scanner::Hdl64;
 use crate::scanner::RangeImage;
+use crate::scanner::hdl64::Hdl64;
 
 /// The current image, with which surfels are compared.
 pub struct Aim<'a> {

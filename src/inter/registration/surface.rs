@@ -2,8 +2,8 @@
 //! FORMAT.md 4.3, "Surfels".
 
 use crate::ground::grid::Grid;
-use crate::scanner::Alignment;
-use crate::scanner::Hdl64;
+use crate::scanner::hdl64::Alignment;
+use crate::scanner::hdl64::Hdl64;
 
 /// A return and the surface around it.
 #[derive(Clone, Copy, Debug)]

@@ -50,7 +50,8 @@ use pulp::NullaryFnOnce;
 use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
-use crate::scanner::{BeamConstants, Coordinates, Hdl64, RangeImage, Return, median};
+use crate::scanner::hdl64::{BeamConstants, Hdl64};
+use crate::scanner::{Coordinates, RangeImage, Return, median};
 use recipe::{Arithmetic, MOST_LOCATED, TurnTable};
 use timing::{BlockTimes, Span};
 

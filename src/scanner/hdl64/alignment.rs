@@ -1,8 +1,8 @@
 //! Alignment of the rows of a range image, so that cells above one another have the same direction.
 //! FORMAT.md 4.3, "Surfels".
 
+use super::Hdl64;
 use crate::ground::grid::Grid;
-use crate::scanner::Hdl64;
 
 /// The rotation of each row of a range image relative to the others. A column holds simultaneous shots, but
 /// the beams of a real scanner point up to about ten degrees to either side of its centre: the top and the
@@ -49,7 +49,8 @@ impl Alignment {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scanner::{BeamConstants, Coordinates, ideal};
+    use crate::scanner::hdl64::BeamConstants;
+    use crate::scanner::{Coordinates, ideal};
 
     /// A scanner of 4000 ticks with these shifts.
     fn shifted(shifts: &[i64]) -> Hdl64 {

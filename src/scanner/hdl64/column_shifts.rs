@@ -6,9 +6,9 @@ use std::cmp::Reverse;
 use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 
+use super::Hdl64;
 use super::beams::{Beam, Point};
 use crate::ground::lanes::dispatch;
-use crate::scanner::Hdl64;
 
 /// For each beam, the whole number of ticks by which its columns are shifted relative to those of the beam
 /// with the most points, estimated from one scan that contains both.

@@ -2,8 +2,8 @@
 
 use pulp::NullaryFnOnce;
 
+use super::Hdl64;
 use crate::ground::lanes::dispatch;
-use crate::scanner::Hdl64;
 use crate::scanner::{RangeImage, Return};
 
 impl RangeImage {

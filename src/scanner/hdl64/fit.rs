@@ -16,11 +16,12 @@ use super::beams::{Beam, Cone, Point, align, split_beams};
 use super::column_shifts::column_shifts;
 use super::formula::small_atan;
 use super::sharpen::sharpen;
+use super::{BeamConstants, Hdl64, Refinement};
 use crate::ground::angle::rough_sine;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
-use crate::scanner::{BeamConstants, Coordinates, Hdl64, Refinement, thinned};
+use crate::scanner::{Coordinates, thinned};
 
 /// Azimuth ticks in a turn of the scanners that this fit handles.
 const TICKS: u32 = 4000;

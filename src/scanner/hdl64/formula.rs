@@ -1,9 +1,9 @@
-//! The formula of one beam; [`Hdl64`](crate::scanner::Hdl64) states it in full. FORMAT.md 3.2, "Formula".
+//! The formula of one beam; [`Hdl64`](crate::scanner::hdl64::Hdl64) states it in full. FORMAT.md 3.2, "Formula".
 
 use std::f64::consts::TAU;
 
+use super::BeamConstants;
 use crate::ground::lanes::lanes;
-use crate::scanner::BeamConstants;
 
 /// Cosine and sine of the angle of an azimuth tick.
 #[derive(Clone, Copy, Debug, Default)]

@@ -3,10 +3,11 @@
 
 use std::f64::consts::TAU;
 
+use super::Hdl64;
 use super::model::ON_CONE;
 use crate::ground::lanes::lanes;
 use crate::ground::rounding::round_ties_even;
-use crate::scanner::{FLOAT_RANGES, Hdl64};
+use crate::scanner::FLOAT_RANGES;
 
 /// Within this many ticks an angle can be replaced by its sine.
 const NEAR: f64 = 32.0;

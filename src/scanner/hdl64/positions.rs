@@ -2,9 +2,10 @@
 
 use pulp::NullaryFnOnce;
 
+use super::Hdl64;
 use crate::ground::lanes::dispatch;
 use crate::scanner::Return;
-use crate::scanner::{Coordinates, Hdl64, nearest_millimetre};
+use crate::scanner::{Coordinates, nearest_millimetre};
 
 /// Positions of returns (metres), which are in row order and `offset_m` metres farther away than their steps:
 /// rounded to the file's grid if `on_grid`, otherwise as the formula gives them.
@@ -67,7 +68,7 @@ fn fill(scanner: &Hdl64, returns: &[Return], offset_m: f64, stored: impl Fn(f64)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scanner::Refinement;
+    use crate::scanner::hdl64::Refinement;
     use crate::scanner::hdl64::testing::scanner;
 
     #[test]

@@ -2,10 +2,11 @@
 
 use pulp::NullaryFnOnce;
 
+use super::Hdl64;
 use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::scan::{PointCloud, squared_distance};
-use crate::scanner::{EXACT_RANGE_BITS, Hdl64, Projection, RangeImage};
+use crate::scanner::{EXACT_RANGE_BITS, Projection, RangeImage};
 
 impl Hdl64 {
     /// The deviations of an image's points from the formula, in metres, row after row.
@@ -197,8 +198,8 @@ impl Search<'_> {
 mod tests {
     use super::*;
     use crate::scanner::REACH;
+    use crate::scanner::hdl64::positions;
     use crate::scanner::hdl64::testing::scanner;
-    use crate::scanner::positions;
 
     #[test]
     fn points_find_their_cells_on_every_vector_unit() {

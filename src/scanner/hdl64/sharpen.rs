@@ -12,12 +12,13 @@ use std::ops::Range;
 
 use pulp::NullaryFnOnce;
 
+use super::Hdl64;
 use super::beams::Point;
 use super::heights::Heights;
 use super::single_precision::{Refinement, SingleBeam};
 use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
-use crate::scanner::{Hdl64, thinned};
+use crate::scanner::thinned;
 
 /// Number of points computed at a time.
 const LANES: usize = 8;

@@ -1,8 +1,9 @@
 //! A scanner and an image for tests of functions that are compiled for several vector units.
 
+use super::{BeamConstants, Hdl64};
 use crate::ground::random::Rng;
+use crate::scanner::Coordinates;
 use crate::scanner::RangeImage;
-use crate::scanner::{BeamConstants, Coordinates, Hdl64};
 
 /// Some beams of an HDL-64E that pass the axis on either side, and an image with near returns, far returns
 /// and cells without a return.

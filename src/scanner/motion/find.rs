@@ -7,7 +7,8 @@ use super::grid::Yaw;
 use super::many::{self, Seen, is_in_reach};
 use super::turn::Mover;
 use super::{Motion, Turn, grid};
-use crate::scanner::{BeamPoint, Coordinates, split_beams, thinned};
+use crate::scanner::hdl64::{BeamPoint, split_beams};
+use crate::scanner::{Coordinates, thinned};
 
 /// The points as they were measured, on the millimetre grid, and the motion that moved them to those of the
 /// file, with a list of misses that is still empty. `None` if the points were not measured on that grid, or

@@ -7,7 +7,8 @@ use crate::frame::settings::{EncoderConfig, ProjectionKind};
 use crate::frame::{Positions, StageReport};
 use crate::ground::error::Result;
 use crate::scan::PointCloud;
-use crate::scanner::{FLOAT_RANGES, RANGE_STEP_UM, REACH, RangeImage, Scanner, project_nearest};
+use crate::scanner::hdl64::{RANGE_STEP_UM, project_nearest};
+use crate::scanner::{FLOAT_RANGES, REACH, RangeImage, Scanner};
 use crate::stream::{self, DecodeOptions, DecodedFrame};
 use crate::study::metrics::{PointErrors, RangeErrors};
 

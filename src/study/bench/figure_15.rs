@@ -11,7 +11,8 @@ use crate::backend;
 use crate::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use crate::frame::{Intensity, MOST_INTENSITY_STEP_MILLIONTHS, Prediction};
 use crate::ground::error::Result;
-use crate::scanner::{FLOAT_RANGES, Hdl64, RANGE_STEP_UM};
+use crate::scanner::FLOAT_RANGES;
+use crate::scanner::hdl64::{Hdl64, RANGE_STEP_UM};
 use crate::study::metrics;
 
 /// Range steps of the curves, in micrometres.

@@ -8,7 +8,8 @@ use super::tu::{Aim, Coder, Method};
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::Result;
 use crate::scan::PointCloud;
-use crate::scanner::{FLOAT_RANGES, Hdl64, RangeImage, Scanner, project_nearest};
+use crate::scanner::hdl64::{Hdl64, project_nearest};
+use crate::scanner::{FLOAT_RANGES, RangeImage, Scanner};
 use crate::study::metrics::{NearestErrors, NearestPoints, RangeErrors};
 
 /// Sides of the octree's voxels in Table I, in micrometres.

@@ -24,7 +24,8 @@ use crate::ground::grid::Grid;
 use crate::ground::varint::{read_unsigned, unzigzag, write_unsigned, zigzag};
 use crate::inter::registration::{Pose, QuantisedPose, RegistrationConfig, register};
 use crate::inter::{self, Layer, Past, Reference};
-use crate::scanner::{Hdl64, RangeImage};
+use crate::scanner::RangeImage;
+use crate::scanner::hdl64::Hdl64;
 
 /// Rows and columns of a block, like those of a macroblock of MPEG.
 const BLOCK: usize = 16;
@@ -411,7 +412,8 @@ fn vectors(before: &RangeImage, image: &RangeImage) -> Vec<[i32; 2]> {
 mod tests {
     use super::*;
     use crate::files::parse;
-    use crate::scanner::{ideal, project_nearest};
+    use crate::scanner::hdl64::project_nearest;
+    use crate::scanner::ideal;
     use crate::study::synth::{SynthConfig, drive};
 
     fn coder(method: Method, scanner: &Hdl64) -> Coder<'_> {

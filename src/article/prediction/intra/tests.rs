@@ -5,7 +5,8 @@ use crate::article::prediction::Predictor;
 use crate::article::segmentation::{SegmentationConfig, segment};
 use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
 use crate::scanner::RangeImage;
-use crate::scanner::{Hdl64, ideal};
+use crate::scanner::hdl64::Hdl64;
+use crate::scanner::ideal;
 
 const COLUMNS: u32 = 64;
 

@@ -21,7 +21,8 @@ use crate::ground::grid::Grid;
 use crate::inter::registration::{QuantisedPose, register};
 use crate::inter::{self, Past};
 use crate::scan::PointCloud;
-use crate::scanner::{Hdl64, RangeImage, project_nearest};
+use crate::scanner::RangeImage;
+use crate::scanner::hdl64::{Hdl64, project_nearest};
 
 /// The source of the prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
