@@ -264,6 +264,20 @@ fn the_timing_of_a_block_is_found() {
 }
 
 #[test]
+fn published_timings_are_found_to_the_last_bit() {
+    for timing in Timing::of_robosense(32) {
+        let made_up = made_up(Recipe::RoboSense);
+        let build = Build { timing: timing.clone(), ..made_up.build().clone() };
+        let truth = Firings::new(build, made_up.lasers().to_vec(), (0..32).collect());
+        let points = points(&truth, &image(&truth, 1));
+        let (found, share) = fit(&[file(&points)]).expect("found");
+        assert_eq!((&found.build().timing, share), (&timing, 1.0));
+        let (_, inexact, strays) = counts(&found, &points);
+        assert_eq!((inexact, strays), (0, 0), "{timing:?}");
+    }
+}
+
+#[test]
 fn both_versions_of_robosenses_driver_are_found() {
     for recipe in [Recipe::RoboSense, Recipe::RoboSenseEarly] {
         let truth = made_up(recipe);

@@ -291,7 +291,7 @@ impl ScanFacts<'_> {
     }
 
     /// Whether a scanner explains nearly all points, and its azimuth advances while its lasers fire.
-    fn shows_timing_of(&self, scanner: &Firings) -> bool {
+    pub(super) fn shows_timing_of(&self, scanner: &Firings) -> bool {
         let image = scanner.project(self.cloud, REACH).image;
         let advancing = image.spans.iter().filter(|span| Span::unpacked(**span).ticks > 0).count();
         image.returns() as f64 > NEARLY_ALL * self.measured as f64 && 2 * advancing > image.columns.len()

@@ -149,7 +149,24 @@ impl ScanFacts<'_> {
             let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
             let lagging = scanner.clone().lagging(vec![0; rows]);
             let starts = [0].iter().chain(&order.other_starts).chain(&order.half_start);
-            let begun = starts.map(|&start| scanner.clone().begun_at(start)).chain([lagging]);
+            let begun: Vec<Firings> = starts.map(|&start| scanner.clone().begun_at(start)).collect();
+            // A timing that is known need not be estimated.
+            let published = match scanner.build.recipe {
+                Recipe::LsLidar => Vec::new(),
+                _ => Timing::of_robosense(rows),
+            };
+            let of_start = |scanner: &Firings| {
+                let timed = published.iter().map(|timing| scanner.clone().with_timing(timing.clone()));
+                timed.collect::<Vec<_>>()
+            };
+            // Lasers with few returns do not show their place in the order; most scanners' fire downwards.
+            let downwards =
+                Firings::new(scanner.build.clone(), scanner.lasers.clone(), (0..rows as u32).collect());
+            let all = begun.iter().chain([&downwards]).flat_map(of_start);
+            if let Some(known) = all.into_iter().find(|timed| self.shows_timing_of(timed)) {
+                return Some(vec![known]);
+            }
+            let begun = begun.into_iter().chain([lagging]);
             return Some(begun.flat_map(|scanner| self.with_timings(scanner, false)).collect());
         }
         lines(&sequence, rows, ticks).map(|lines| vec![scanner.line_by_line(lines)])

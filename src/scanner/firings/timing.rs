@@ -28,6 +28,26 @@ pub fn passed_ticks(span: u32, part: u32) -> u32 {
 /// Time from slot to slot, from firing to firing and from block to block of a VLP-16, in microseconds.
 const VLP_16_TIMES: [f32; 3] = [2.304, 55.296, 110.592];
 
+/// When the lasers of RoboSense's scanners fire, unless they do so evenly, in microseconds since a block began.
+const RS_32: [f32; 32] = [
+    0.0, 2.88, 5.76, 8.64, 11.52, 14.4, 17.28, 20.16, 23.04, 25.92, 28.8, 31.68, 34.56, 37.44, 40.32, 44.64,
+    1.44, 4.32, 7.2, 10.08, 12.96, 15.84, 18.72, 21.6, 24.48, 27.36, 30.24, 33.12, 36.0, 38.88, 41.76, 46.08,
+];
+const BPEARL_EARLY: [f32; 32] = [
+    0.0, 2.56, 5.12, 7.68, 10.24, 12.8, 15.36, 17.92, 25.68, 28.24, 30.8, 33.36, 35.92, 38.48, 41.04, 43.6,
+    1.28, 3.84, 6.4, 8.96, 11.52, 14.08, 16.64, 19.2, 26.96, 29.52, 32.08, 34.64, 37.2, 39.76, 42.32, 44.88,
+];
+const HELIOS_EARLY: [f32; 32] = [
+    0.0, 1.57, 3.15, 4.72, 6.3, 7.87, 9.45, 11.36, 13.26, 15.17, 17.08, 18.99, 20.56, 22.14, 23.71, 25.29,
+    26.53, 29.01, 27.77, 30.25, 31.49, 33.98, 32.73, 35.22, 36.46, 37.7, 38.94, 40.18, 41.42, 42.67, 43.91,
+    45.15,
+];
+const HELIOS_16P_EARLY: [f32; 32] = [
+    0.0, 3.15, 6.3, 9.45, 13.26, 17.08, 20.56, 23.71, 26.53, 27.77, 31.49, 32.73, 36.46, 38.94, 41.42, 43.91,
+    55.56, 58.7, 61.85, 65.0, 68.82, 72.64, 76.12, 79.27, 82.08, 83.32, 87.05, 88.29, 92.01, 94.5, 96.98,
+    99.46,
+];
+
 impl Timing {
     /// Whether ticks differ from slot to slot.
     pub fn is_interpolated(&self) -> bool {
@@ -41,6 +61,19 @@ impl Timing {
             Timing::Vlp16 => 2,
             Timing::Parts(parts) => (parts.len() / rows.max(1)) as u32,
         }
+    }
+
+    /// The timings of RoboSense's scanners with so many lasers, as versions of the manufacturer's rs_driver
+    /// have them.
+    pub fn of_robosense(rows: usize) -> Vec<Self> {
+        // Rounded up: the driver's products in single precision may be the next whole number.
+        let part = |time: &f32, block: f32| (f64::from(time / block) * f64::from(WHOLE)).ceil() as u32;
+        let parts =
+            |times: &[f32], block: f32| Timing::Parts(times.iter().map(|time| part(time, block)).collect());
+        let times = robosense_times(rows);
+        // A block of a packet has both firings of 16 lasers, or with dual returns one.
+        let dual = times.iter().filter(|_| rows == 16).map(|(times, block)| parts(&times[..16], 0.5 * block));
+        times.iter().map(|(times, block)| parts(times, *block)).chain(dual).collect()
     }
 
     /// The tick at a place in a block, counted slot by slot and firing by firing. The block begins at the
@@ -57,6 +90,24 @@ impl Timing {
             }
             Timing::Parts(parts) => base + passed_ticks(span, parts.get(place).copied().unwrap_or(0)),
         }
+    }
+}
+
+/// When the lasers of RoboSense's scanners with so many of them fire, and how long a block takes, in
+/// microseconds.
+fn robosense_times(rows: usize) -> Vec<([f32; 32], f32)> {
+    let even = |step: f64| std::array::from_fn(|slot| (slot as f64 * step) as f32);
+    let rs_16 = |slot: usize| ((slot % 16) as f64 * 2.8 + (slot / 16) as f64 * 55.5) as f32;
+    match rows {
+        16 => vec![(std::array::from_fn(rs_16), 111.0), (even(1.73), 111.12), (HELIOS_16P_EARLY, 111.12)],
+        32 => vec![
+            (even(1.73), 55.56),
+            (HELIOS_EARLY, 55.56),
+            (BPEARL_EARLY, 55.52),
+            (even(1.668), 55.56),
+            (RS_32, 55.52),
+        ],
+        _ => Vec::new(),
     }
 }
 
@@ -110,5 +161,30 @@ impl Span {
     /// Packs it into a value of the range image.
     pub fn packed(self) -> u32 {
         self.ticks << 1 | self.firing
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// rs_driver multiplies in single precision, and rounds down.
+    #[test]
+    fn robosenses_ticks_are_those_of_the_driver() {
+        /// Ticks from block to block are fewer.
+        const MOST: u32 = 200;
+        for rows in [16, 32] {
+            let timings = Timing::of_robosense(rows);
+            for ((times, block), timing) in robosense_times(rows).iter().zip(&timings) {
+                assert_eq!(timing.firings(rows), 32 / rows as u32);
+                for (slot, time) in times.iter().enumerate() {
+                    let driver = |span: u32| (span as f32 * (time / block)) as u32;
+                    let own = |span: u32| timing.tick(&BlockTimes::default(), slot, 0, span);
+                    (0..MOST).for_each(|span| assert_eq!(own(span), driver(span), "{slot} {span}"));
+                }
+            }
+        }
+        assert_eq!(Timing::of_robosense(16).len(), 6);
+        assert!(Timing::of_robosense(128).is_empty());
     }
 }
