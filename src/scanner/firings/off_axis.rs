@@ -219,8 +219,9 @@ impl ScanFacts<'_> {
     /// The points of each laser, among at most about `most`: narrow clusters of elevations as seen from where a
     /// maker's beams start.
     fn rows_by_elevation(&self, maker: &Maker, most: usize) -> Option<Vec<Vec<Point<'_>>>> {
-        /// In metres: points that are nearer do not count, in one attempt after the other.
-        const NEAREST: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
+        /// In metres: points that are nearer do not count, in one attempt after the other. In the last, lasers
+        /// are found that see nothing but what they are mounted in.
+        const NEAREST: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 0.0];
         /// Of the points that are left, at least one in this number is of each laser.
         const PART: usize = 40;
         let (along, [_, up]) = (maker.along(), maker.origin.metres());
