@@ -16,9 +16,7 @@ use lidarpc::internals::models::{
     CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeContext, RangeModel,
     RangeScale,
 };
-use lidarpc::internals::scanner::hdl64::Hdl64;
-use lidarpc::internals::scanner::hdl64::project;
-use lidarpc::internals::scanner::hdl64::{ColumnModel, fit};
+use lidarpc::internals::scanner::hdl64::{ColumnModel, Hdl64, fit, project};
 use lidarpc::internals::scanner::{Coordinates, EXACT_RANGE_BITS, Projection, REACH};
 
 fn stages(c: &mut Criterion) {

@@ -18,8 +18,7 @@ use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, Prediction
 use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction, Source};
 use lidarpc::internals::scan::{Channel, PointCloud};
 use lidarpc::internals::scanner::hdl64::project_nearest;
-use lidarpc::internals::scanner::{FLOAT_RANGES, ideal};
-use lidarpc::internals::scanner::{RangeImage, Return, Scanner};
+use lidarpc::internals::scanner::{FLOAT_RANGES, RangeImage, Return, Scanner, ideal};
 use lidarpc::internals::stream::{DecodeOptions, decode};
 use lidarpc::internals::study::metrics::NearestErrors;
 use proptest::prelude::*;

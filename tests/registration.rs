@@ -5,9 +5,7 @@ use lidarpc::internals::files::parse;
 use lidarpc::internals::inter::registration::{
     Pose, Registration, RegistrationConfig, RegistrationMethod, RigidMotion, Surface, register,
 };
-use lidarpc::internals::scanner::hdl64::Hdl64;
-use lidarpc::internals::scanner::hdl64::fit;
-use lidarpc::internals::scanner::hdl64::project;
+use lidarpc::internals::scanner::hdl64::{Hdl64, fit, project};
 use lidarpc::internals::scanner::{REACH, RangeImage};
 use lidarpc::internals::study::synth::{SynthConfig, SynthFrame, drive};
 

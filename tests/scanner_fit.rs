@@ -8,11 +8,8 @@ use crate::common::scans::{
 };
 use lidarpc::internals::files::parse;
 use lidarpc::internals::scan::ScanFile;
-use lidarpc::internals::scanner::Coordinates;
-use lidarpc::internals::scanner::REACH;
-use lidarpc::internals::scanner::hdl64::Hdl64;
-use lidarpc::internals::scanner::hdl64::fit;
-use lidarpc::internals::scanner::hdl64::project;
+use lidarpc::internals::scanner::hdl64::{Hdl64, fit, project};
+use lidarpc::internals::scanner::{Coordinates, REACH};
 use lidarpc::internals::study::synth::{SynthConfig, scanner_beams};
 
 /// All beams, every eighth firing: some 230 points a beam.

@@ -24,8 +24,7 @@ use crate::ground::grid::Grid;
 use crate::inter;
 use crate::inter::registration::{Pose, QuantisedPose, register};
 use crate::scan::{ScanFile, Widening, Wrapping};
-use crate::scanner::RangeImage;
-use crate::scanner::Scanner;
+use crate::scanner::{RangeImage, Scanner};
 
 /// Encodes the frames of one group.
 pub struct GroupEncoder<'s> {

@@ -13,8 +13,7 @@ use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::ground::varint::{read_signed, read_unsigned, read_within, write_signed, write_unsigned};
 use crate::inter::registration::QuantisedPose;
-use crate::scanner::EXACT_RANGE_BITS;
-use crate::scanner::Scanner;
+use crate::scanner::{EXACT_RANGE_BITS, Scanner};
 
 /// The section's name in errors.
 const PART: &str = "frame parameters";

@@ -3,8 +3,7 @@
 use crate::ground::grid::Grid;
 use crate::inter::Layer;
 use crate::inter::registration::{RigidMotion, Surface, Surfel, columns_by_tick, dot};
-use crate::scanner::hdl64::Alignment;
-use crate::scanner::hdl64::{Hdl64, Sighting};
+use crate::scanner::hdl64::{Alignment, Hdl64, Sighting};
 
 /// Of two surfels in a cell, the nearer one is visible if it is nearer by more than this share of the range;
 /// otherwise the one closer to the centre of the cell.

@@ -10,8 +10,7 @@ mod scene;
 
 use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
-use crate::scanner::hdl64::Alignment;
-use crate::scanner::hdl64::Hdl64;
+use crate::scanner::hdl64::{Alignment, Hdl64};
 use neighbours::Neighbours;
 use scene::Scene;
 

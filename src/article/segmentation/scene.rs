@@ -3,8 +3,7 @@
 use std::f64::consts::TAU;
 
 use crate::ground::grid::Grid;
-use crate::scanner::hdl64::Alignment;
-use crate::scanner::hdl64::Hdl64;
+use crate::scanner::hdl64::{Alignment, Hdl64};
 
 use super::neighbours::Cell;
 

@@ -1,7 +1,6 @@
 use super::*;
-use crate::scanner::RangeImage;
 use crate::scanner::hdl64::BeamConstants;
-use crate::scanner::{Coordinates, ideal};
+use crate::scanner::{Coordinates, RangeImage, ideal};
 
 /// The image of a scene: `range` returns the range in metres, if any, for the elevation and the azimuth
 /// (radians) of a beam.

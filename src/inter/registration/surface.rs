@@ -2,8 +2,7 @@
 //! FORMAT.md 4.3, "Surfels".
 
 use crate::ground::grid::Grid;
-use crate::scanner::hdl64::Alignment;
-use crate::scanner::hdl64::Hdl64;
+use crate::scanner::hdl64::{Alignment, Hdl64};
 
 /// A return and the surface around it.
 #[derive(Clone, Copy, Debug)]

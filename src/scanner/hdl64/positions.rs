@@ -4,8 +4,7 @@ use pulp::NullaryFnOnce;
 
 use super::Hdl64;
 use crate::ground::lanes::dispatch;
-use crate::scanner::Return;
-use crate::scanner::{Coordinates, nearest_millimetre};
+use crate::scanner::{Coordinates, Return, nearest_millimetre};
 
 /// Positions of returns (metres), which are in row order and `offset_m` metres farther away than their steps:
 /// rounded to the file's grid if `on_grid`, otherwise as the formula gives them.

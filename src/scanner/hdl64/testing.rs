@@ -2,8 +2,7 @@
 
 use super::{BeamConstants, Hdl64};
 use crate::ground::random::Rng;
-use crate::scanner::Coordinates;
-use crate::scanner::RangeImage;
+use crate::scanner::{Coordinates, RangeImage};
 
 /// Some beams of an HDL-64E that pass the axis on either side, and an image with near returns, far returns
 /// and cells without a return.

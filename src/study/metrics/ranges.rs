@@ -1,7 +1,6 @@
 //! Errors of range images, cell by cell.
 
-use crate::scanner::RangeImage;
-use crate::scanner::Scanner;
+use crate::scanner::{RangeImage, Scanner};
 
 /// Errors of the ranges of a decoded image relative to the original one: the RMSE of the article (VI-A,
 /// equation 12),

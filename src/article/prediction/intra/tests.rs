@@ -4,9 +4,8 @@ use super::*;
 use crate::article::prediction::Predictor;
 use crate::article::segmentation::{SegmentationConfig, segment};
 use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
-use crate::scanner::RangeImage;
 use crate::scanner::hdl64::Hdl64;
-use crate::scanner::ideal;
+use crate::scanner::{RangeImage, ideal};
 
 const COLUMNS: u32 = 64;
 
