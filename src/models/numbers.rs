@@ -60,21 +60,23 @@ impl Scale {
         }
         let size = scalar.size() as usize;
         let step = (values.len() / size / SAMPLES).max(1);
-        let suits = |scale: Scale, every: usize| {
-            let grid = scale.grid(scalar);
-            let tried = values.chunks_exact(size).step_by(every);
-            let most = tried.len() / RARE;
-            tried.filter(|value| grid.integer(value).is_none()).nth(most).is_none()
+        let some = values.chunks_exact(size).step_by(step).collect::<Vec<_>>().concat();
+        let suits = |scale: Scale, values: &[u8]| {
+            let most = values.len() / size / RARE;
+            scale.grid(scalar).misses(values, most) <= most
         };
-        let finite =
-            values.chunks_exact(size).map(|value| number(scalar, value).abs()).filter(|v| v.is_finite());
-        let highest = finite.fold(0.0, f64::max);
+        let highest = match scalar {
+            Scalar::F32 => {
+                highest(values.as_chunks().0.iter().map(|value| f32::from_le_bytes(*value).into()))
+            }
+            _ => highest(values.as_chunks().0.iter().map(|value| f64::from_le_bytes(*value))),
+        };
         let resolution = highest * if scalar == Scalar::F32 { 1.2e-7 } else { 2.3e-16 };
         let mut scales: Vec<Scale> =
             (1..=FORMS * EXPONENTS + LEVELS.len() as u8).map(|code| Scale { code }).collect();
         scales.retain(|scale| scale.step() > resolution);
         scales.sort_by(|a, b| b.step().total_cmp(&a.step()));
-        scales.into_iter().find(|&scale| suits(scale, step) && suits(scale, 1)).unwrap_or(Scale::PLACE)
+        scales.into_iter().find(|&scale| suits(scale, &some) && suits(scale, values)).unwrap_or(Scale::PLACE)
     }
 
     fn form(self) -> Option<(Form, i32)> {
@@ -125,59 +127,87 @@ impl NumberGrid {
     /// The integer of a value; `None` if the value is off the grid.
     #[inline]
     pub fn integer(&self, value: &[u8]) -> Option<i64> {
-        if self.form.is_none() {
-            return Some(place(self.scalar, value));
-        }
-        let number = number(self.scalar, value);
+        self.integer_of(self.scalar, value)
+    }
+
+    /// [`integer`](Self::integer) of a value of the type of the grid.
+    #[inline(always)]
+    fn integer_of(&self, scalar: Scalar, value: &[u8]) -> Option<i64> {
+        let Some(form) = self.form else { return Some(place(scalar, value)) };
+        let number = number(scalar, value);
         let count = rounded(number / self.step);
         // Larger integers are not exact, and NaN has none.
         if !count.is_finite() || count.abs() >= 9e15 {
             return None;
         }
-        let mut again = [0; 8];
-        self.write(count as i64, &mut again);
-        (again[..value.len()] == *value).then_some(count as i64)
+        let integer = count as i64;
+        let again = self.number_of(form, integer);
+        let is_same = match scalar {
+            Scalar::F32 => (again as f32).to_bits() == (number as f32).to_bits(),
+            _ => again.to_bits() == number.to_bits(),
+        };
+        is_same.then_some(integer)
+    }
+
+    /// Passes the integer of each value to `take`, until that refuses one.
+    #[inline(always)]
+    fn each(&self, values: &[u8], mut take: impl FnMut(Option<i64>) -> bool) {
+        // The loop is compiled for each of the most common types.
+        match self.scalar {
+            Scalar::U8 => values.chunks_exact(1).all(|value| take(self.integer_of(Scalar::U8, value))),
+            Scalar::U16 => values.chunks_exact(2).all(|value| take(self.integer_of(Scalar::U16, value))),
+            Scalar::F32 => values.chunks_exact(4).all(|value| take(self.integer_of(Scalar::F32, value))),
+            Scalar::F64 => values.chunks_exact(8).all(|value| take(self.integer_of(Scalar::F64, value))),
+            scalar => values.chunks_exact(scalar.size() as usize).all(|value| take(self.integer(value))),
+        };
     }
 
     /// The integer of each of these values; `None` for those off the grid.
     pub fn integers(&self, values: &[u8]) -> Vec<Option<i64>> {
-        #[inline(always)]
-        fn places(scalar: Scalar, values: &[u8]) -> Vec<Option<i64>> {
-            values.chunks_exact(scalar.size() as usize).map(|value| Some(place(scalar, value))).collect()
-        }
-        match (self.form, self.scalar) {
-            // The loop is compiled for each of the most common types.
-            (None, Scalar::U8) => places(Scalar::U8, values),
-            (None, Scalar::U16) => places(Scalar::U16, values),
-            (None, Scalar::F32) => places(Scalar::F32, values),
-            (None, Scalar::F64) => places(Scalar::F64, values),
-            (_, scalar) => {
-                values.chunks_exact(scalar.size() as usize).map(|value| self.integer(value)).collect()
-            }
-        }
+        let mut integers = Vec::with_capacity(values.len() / self.scalar.size() as usize);
+        self.each(values, |integer| {
+            integers.push(integer);
+            true
+        });
+        integers
+    }
+
+    /// The number of these values that are off the grid, counted up to `most` + 1.
+    fn misses(&self, values: &[u8], most: usize) -> usize {
+        let mut misses = 0;
+        self.each(values, |integer| {
+            misses += usize::from(integer.is_none());
+            misses <= most
+        });
+        misses
     }
 
     /// Whether some of these values are off the grid.
     pub fn misses_any(&self, values: &[u8]) -> bool {
-        let size = self.scalar.size() as usize;
-        self.form.is_some() && values.chunks_exact(size).any(|value| self.integer(value).is_none())
+        self.form.is_some() && self.misses(values, 0) > 0
     }
 
     /// Writes the value of an integer.
     #[inline]
     pub fn write(&self, integer: i64, value: &mut [u8]) {
         let Some(form) = self.form else { return write_place(self.scalar, integer, value) };
+        let number = self.number_of(form, integer);
+        match self.scalar {
+            Scalar::F32 => LittleEndian::write_f32(value, number as f32),
+            _ => LittleEndian::write_f64(value, number),
+        }
+    }
+
+    /// The number that an integer stands for, before it is rounded to the type.
+    #[inline(always)]
+    fn number_of(&self, form: Form, integer: i64) -> f64 {
         let count = integer as f64;
-        let number = match form {
+        match form {
             Form::Quotient => count / self.power,
             Form::Product => count * (1.0 / self.power),
             Form::Levels(levels) => count / levels,
             Form::Single(factor) => f64::from(count as f32 * (factor / self.power) as f32),
             Form::Degrees => count * (1.0 / self.power) * std::f64::consts::PI / 180.0,
-        };
-        match self.scalar {
-            Scalar::F32 => LittleEndian::write_f32(value, number as f32),
-            _ => LittleEndian::write_f64(value, number),
         }
     }
 
@@ -191,6 +221,12 @@ impl NumberGrid {
             _ => rounded(number / self.step) as i64,
         }
     }
+}
+
+/// The highest magnitude of the finite numbers, at least 0.
+#[inline(always)]
+fn highest(numbers: impl Iterator<Item = f64>) -> f64 {
+    numbers.map(f64::abs).filter(|number| number.is_finite()).fold(0.0, f64::max)
 }
 
 /// The nearest whole number, halves to even.

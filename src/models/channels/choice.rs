@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::column::{ColumnModel, Places};
 use super::image::LIMIT;
-use super::integers::Site;
+use super::integers::{ENTRIES, Site, slot};
 use super::levels::Palette;
 use super::plan::{Geometry, Image, Integers, Levels, Plan};
 use super::rules::{Rule, RuleState};
@@ -137,14 +137,30 @@ impl ColumnModel {
         let sample = gather(values, size, &sampled);
         let bytes = self.size_of(&Plan::Integers(best), &sources.part(&sampled).sources(), scalar, &sample);
         let bytes = bytes.saturating_mul(values.len()) / sample.len().max(1);
-        let of_neighbours = [levels_plan(plain, scalar, values), image_plan(plain, scalar, values)];
-        let sized = of_neighbours.into_iter().flatten();
-        let sized = sized.map(|plan| (self.size_of(&plan, sources, scalar, values), plan));
-        if let Some((bytes, plan)) = sized.min_by_key(|(bytes, _)| *bytes).filter(|(least, _)| *least < bytes)
-        {
+        let of_neighbours = self.best_by_neighbours(plain, sources, scalar, values);
+        let sized = of_neighbours.map(|plan| (self.size_of(&plan, sources, scalar, values), plan));
+        if let Some((bytes, plan)) = sized.filter(|(least, _)| *least < bytes) {
             return Choice { plan, bytes, is_sure: false, tried: None };
         }
         Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried: Some(tried) }
+    }
+
+    /// The plan by neighbours that takes fewer bytes for a part of the records, if there is one.
+    fn best_by_neighbours(
+        &self,
+        plain: Integers,
+        sources: &Sources,
+        scalar: Scalar,
+        values: &[u8],
+    ) -> Option<Plan> {
+        let plans = (levels_plan(plain, scalar, values), image_plan(plain, scalar, values));
+        let (Some(levels), Some(image)) = plans else { return plans.0.or(plans.1) };
+        let size = scalar.size() as usize;
+        let sampled = [middle(values.len() / size, SAMPLE)];
+        let (part, values) = (sources.part(&sampled), gather(values, size, &sampled));
+        let [of_levels, of_image] =
+            [levels, image].map(|plan| self.size_of(&plan, &part.sources(), scalar, &values));
+        Some(if of_levels <= of_image { levels } else { image })
     }
 
     /// A plan by neighbours, if the column was last coded by one of that kind: they suit the same columns in
@@ -287,9 +303,12 @@ impl ColumnModel {
         if scalar.size() >= 2 {
             let places = Geometry::of_places().filter(|_| !part.context.steps.is_empty());
             let positions = Geometry::of_positions().filter(|_| !part.context.positions.is_empty());
+            let integers = plain.scale.grid(scalar).integers(values);
             for geometry in places.chain(positions) {
                 let plan = Integers { geometry, ..best };
-                improve(&mut best, plan);
+                if geometry_may_help(&plan, part, scalar, &integers) {
+                    improve(&mut best, plan);
+                }
             }
         }
         if let Some(ruled) = ruled {
@@ -318,6 +337,24 @@ fn misses(
     let rule = plan.rule?;
     let mut state = RuleState::default();
     state.prepare(rule, plan.are_singles(scalar));
+    // The loop over the records is compiled for each kind of rule.
+    match rule {
+        Rule::Beam => count_misses(state, Rule::Beam, &places, integers, most),
+        Rule::Column => count_misses(state, Rule::Column, &places, integers, most),
+        Rule::After => count_misses(state, Rule::After, &places, integers, most),
+        Rule::Tick => count_misses(state, Rule::Tick, &places, integers, most),
+        Rule::Turn(columns) => count_misses(state, Rule::Turn(columns), &places, integers, most),
+    }
+}
+
+#[inline(always)]
+fn count_misses(
+    mut state: RuleState,
+    rule: Rule,
+    places: &Places,
+    integers: &[Option<i64>],
+    most: usize,
+) -> Option<usize> {
     let mut misses = 0;
     for (record, integer) in integers.iter().enumerate() {
         let Some(integer) = *integer else { continue };
@@ -329,6 +366,33 @@ fn misses(
         }
     }
     Some(misses)
+}
+
+/// Whether the geometry of a plan predicts enough integers better than those before them do: coding a sample
+/// to find out takes much longer.
+fn geometry_may_help(plan: &Integers, sources: &Sources, scalar: Scalar, integers: &[Option<i64>]) -> bool {
+    /// Better predictions must save at least one in this number of the bits of all differences.
+    const ENOUGH: u32 = 16;
+    let Ok(places) = Places::new(plan, sources, scalar) else { return false };
+    let bits = |value: i64, from: i64| u64::BITS - value.wrapping_sub(from).unsigned_abs().leading_zeros();
+    let (mut all, mut saved, mut last) = (0, 0, 0);
+    // By hash of the key: the last integer, and its difference from the geometry.
+    let mut of_key = vec![[0; 2]; ENTRIES];
+    for (record, integer) in integers.iter().enumerate() {
+        let Some(integer) = *integer else { continue };
+        let site = places.site(record);
+        let geometry = site.geometry.unwrap_or(last);
+        let [before, off] = std::mem::replace(
+            &mut of_key[slot(site.key.into(), 0)],
+            [integer, integer.wrapping_sub(geometry)],
+        );
+        let of_integers = bits(integer, last).min(bits(integer, before));
+        let of_geometry = bits(integer, geometry).min(bits(integer, geometry.wrapping_add(off)));
+        all += of_integers;
+        saved += of_integers.saturating_sub(of_geometry);
+        last = integer;
+    }
+    saved * ENOUGH > all
 }
 
 /// The distance, in records, at which a run of values most often recurs; 0 if it seldom does.

@@ -145,7 +145,15 @@ impl ColumnModel {
         let ColumnModel { integers: model, rules, off, .. } = self;
         if let Some(rule) = plan.rule {
             rules.prepare(rule, plan.are_singles(scalar));
-            code_by_rule(coder, (rules, rule), off, (plan.has_exceptions, &places), scalar, values);
+            let (model, how) = ((rules, off), (plan.has_exceptions, &places));
+            // The loop over the records is compiled for each kind of rule.
+            match rule {
+                Rule::Beam => code_by_rule(coder, Rule::Beam, model, how, scalar, values),
+                Rule::Column => code_by_rule(coder, Rule::Column, model, how, scalar, values),
+                Rule::After => code_by_rule(coder, Rule::After, model, how, scalar, values),
+                Rule::Tick => code_by_rule(coder, Rule::Tick, model, how, scalar, values),
+                Rule::Turn(columns) => code_by_rule(coder, Rule::Turn(columns), model, how, scalar, values),
+            }
             return Ok(());
         }
         let lag = plan.lag as usize;
@@ -176,8 +184,8 @@ impl ColumnModel {
 #[inline(always)]
 fn code_by_rule<C: BitCoder>(
     coder: &mut C,
-    (model, rule): (&mut RuleModel, Rule),
-    off: &mut OffModel,
+    rule: Rule,
+    (model, off): (&mut RuleModel, &mut OffModel),
     (has_exceptions, places): (bool, &Places),
     scalar: Scalar,
     values: &mut [u8],

@@ -327,6 +327,8 @@ impl ChannelCoder<'_> {
     fn choose(&mut self, sources: &Sources, bytes: &[u8]) -> (Shape, Vec<Plan>, Option<Compressed>) {
         /// In bytes: nothing else is tried if the columns take no more than this.
         const SMALL: usize = 64;
+        /// Nor if they take no more than a byte for this number of records.
+        const MANY: usize = 64;
         if is_constant(bytes, self.width) {
             return (Shape::Constant, Vec::new(), None);
         }
@@ -345,7 +347,7 @@ impl ChannelCoder<'_> {
             plans.push(choice.plan);
             model.tried = choice.tried;
         }
-        if is_sure || !plans.is_empty() && size <= SMALL {
+        if is_sure || !plans.is_empty() && size <= SMALL.max(bytes.len() / self.width / MANY) {
             return (Shape::Columns, plans, None);
         }
         let (shape, compressed) = self.choose_shape(sources, bytes, &plans, size);
@@ -386,7 +388,12 @@ impl ChannelCoder<'_> {
                 _ => self.handicapped(self.size_as_bytes(bytes)),
             };
         }
-        *self.trial = Trial::of(compressed.size(), best, likeness());
+        let likeness = likeness();
+        *self.trial = match Trial::of(compressed.size(), best, likeness) {
+            // In the next frames, the models have learned more.
+            Trial::Open => Trial::Lost(likeness),
+            decided => decided,
+        };
         match compressed.size() < best {
             true => (Shape::Compressed, Some(compressed)),
             false => (shape, None),

@@ -97,6 +97,33 @@ impl Doubts {
     }
 }
 
+/// Constants by entry, all unknown at first.
+#[derive(Clone)]
+struct Constants<T> {
+    /// Up to the highest entry that is known.
+    known: Vec<Option<T>>,
+}
+
+impl<T> Default for Constants<T> {
+    fn default() -> Self {
+        Constants { known: Vec::new() }
+    }
+}
+
+impl<T: Copy> Constants<T> {
+    #[inline(always)]
+    fn get(&self, entry: usize) -> Option<T> {
+        self.known.get(entry).copied().flatten()
+    }
+
+    fn set(&mut self, entry: usize, constant: T) {
+        if self.known.len() <= entry {
+            self.known.resize(entry + 1, None);
+        }
+        self.known[entry] = Some(constant);
+    }
+}
+
 /// What the rule predicts from the integers so far. They count relative to what the position or the place
 /// implies, or to 0.
 #[derive(Clone, Default)]
@@ -104,14 +131,14 @@ pub struct RuleState {
     /// The number among the columns in turn that column 0 of the frame has.
     phase: u32,
     /// By key and by the column's number among those in turn, see [`entry`]: the integer minus its base.
-    offsets: Vec<Option<i64>>,
+    offsets: Constants<i64>,
     /// By hash of the key and the last integer: the integer that followed.
     after: Vec<Option<i64>>,
     /// The same for sums that are rounded, which have a base of their own.
     rounded: RoundedSums,
     are_rounded: bool,
     /// By column, or by tick: the base.
-    bases: Vec<Option<i64>>,
+    bases: Constants<i64>,
     base: i64,
     /// If the last integer broke the rule: the base before it, its entry among the offsets, and the integer.
     missed: Option<(i64, usize, i64)>,
@@ -235,10 +262,6 @@ impl RuleState {
     /// See [`RuleModel::prepare`].
     pub fn prepare(&mut self, rule: Rule, are_singles: bool) {
         self.are_rounded = are_singles && matches!(rule, Rule::Turn(_));
-        if self.are_rounded {
-            return self.rounded.offsets.resize(ENTRIES, None);
-        }
-        self.offsets.resize(ENTRIES, None);
         if rule == Rule::After {
             self.after.resize(ENTRIES, None);
         }
@@ -266,7 +289,8 @@ impl RuleState {
             if self.are_rounded {
                 return self.rounded.changes(sums);
             }
-            let bases = sums.filter_map(|(entry, integer)| Some(integer.wrapping_sub(self.offsets[entry]?)));
+            let bases =
+                sums.filter_map(|(entry, integer)| Some(integer.wrapping_sub(self.offsets.get(entry)?)));
             let mut last = None;
             bases.filter(|&base| last.replace(base) != Some(base)).count()
         };
@@ -289,17 +313,12 @@ impl RuleState {
                 | usize::from(site.column != self.last_column) << 2
                 | (phase as usize % TURN_CONTEXTS) << 3,
         };
-        let above = |base: i64| base.wrapping_add(self.offsets.get(offset).copied().flatten().unwrap_or(0));
+        let above = |base: i64| base.wrapping_add(self.offsets.get(offset).unwrap_or(0));
         expected.integer = match rule {
             Rule::Beam => above(0),
             Rule::Turn(_) if self.are_rounded => self.rounded.expected(offset),
             Rule::Turn(_) => above(self.base),
-            Rule::Column | Rule::Tick => {
-                if self.bases.len() <= expected.column {
-                    self.bases.resize(expected.column + 1, None);
-                }
-                above(self.bases[expected.column].unwrap_or(0))
-            }
+            Rule::Column | Rule::Tick => above(self.bases.get(expected.column).unwrap_or(0)),
             Rule::After => {
                 expected.after = slot(site.key.into(), self.last as u64);
                 self.after[expected.after].unwrap_or_else(|| above(self.base))
@@ -316,7 +335,7 @@ impl RuleState {
         if self.are_rounded {
             return self.rounded.learn(expected.offset, value);
         }
-        let offset = &mut self.offsets[expected.offset];
+        let offset = self.offsets.get(expected.offset);
         // Most integers follow the rule, and these rules learn nothing new from them.
         match rule {
             Rule::Beam if is_right && offset.is_some() => return,
@@ -324,14 +343,15 @@ impl RuleState {
             _ => {}
         }
         match rule {
-            Rule::Beam => *offset = Some(value),
-            Rule::Column | Rule::Tick => {
-                let base = &mut self.bases[expected.column];
-                match (&base, &offset) {
-                    (Some(base), None) => *offset = Some(value.wrapping_sub(*base)),
-                    _ => *base = Some(value.wrapping_sub(*offset.get_or_insert(0))),
+            Rule::Beam => self.offsets.set(expected.offset, value),
+            Rule::Column | Rule::Tick => match (self.bases.get(expected.column), offset) {
+                (Some(base), None) => self.offsets.set(expected.offset, value.wrapping_sub(base)),
+                (None, None) => {
+                    self.offsets.set(expected.offset, 0);
+                    self.bases.set(expected.column, value);
                 }
-            }
+                (_, Some(offset)) => self.bases.set(expected.column, value.wrapping_sub(offset)),
+            },
             Rule::Turn(_) => self.learn_base(expected.offset, value),
             Rule::After => {
                 self.learn_base(expected.offset, value);
@@ -345,9 +365,8 @@ impl RuleState {
     /// integer is above the earlier base again: then only the constant of this integer has changed.
     fn learn_base(&mut self, entry: usize, value: i64) {
         let missed = self.missed.take();
-        let Some(offset) = self.offsets[entry] else {
-            self.offsets[entry] = Some(value.wrapping_sub(self.base));
-            return;
+        let Some(offset) = self.offsets.get(entry) else {
+            return self.offsets.set(entry, value.wrapping_sub(self.base));
         };
         let base = value.wrapping_sub(offset);
         if base == self.base {
@@ -355,7 +374,7 @@ impl RuleState {
         }
         match missed {
             Some((before, entry, missed)) if base == before => {
-                self.offsets[entry] = Some(missed.wrapping_sub(before));
+                self.offsets.set(entry, missed.wrapping_sub(before));
             }
             _ => self.missed = Some((self.base, entry, value)),
         }
@@ -369,7 +388,7 @@ impl RuleState {
 #[derive(Clone, Default)]
 struct RoundedSums {
     /// By entry, as for other sums.
-    offsets: Vec<Option<RoundedOffset>>,
+    offsets: Constants<RoundedOffset>,
     /// The least and the largest possible base.
     base: [f64; 2],
     /// If the last sum contradicted the base: the base before it, its entry, and the sum.
@@ -386,7 +405,7 @@ struct RoundedOffset {
 impl RoundedSums {
     /// The rank of the sum that is expected of an entry.
     fn expected(&self, entry: usize) -> i64 {
-        let offset = self.offsets[entry].map_or(0.0, |offset| offset.value);
+        let offset = self.offsets.get(entry).map_or(0.0, |offset| offset.value);
         let sum = (middle(self.base) + offset) as f32;
         // Processors differ in the bits of a NaN that they compute.
         if sum.is_nan() { 0 } else { ordered(sum) }
@@ -396,9 +415,8 @@ impl RoundedSums {
     fn learn(&mut self, entry: usize, rank: i64) {
         let missed = self.missed.take();
         let Some((sum, half)) = rounded(rank) else { return };
-        let Some(offset) = self.offsets[entry] else {
-            self.offsets[entry] = Some(self.offset(sum, half, self.base));
-            return;
+        let Some(offset) = self.offsets.get(entry) else {
+            return self.offsets.set(entry, self.offset(sum, half, self.base));
         };
         let possible = offset.base_of(sum, half);
         match both(self.base, possible) {
@@ -408,7 +426,7 @@ impl RoundedSums {
                 // The constant of the last sum has changed, not the base.
                 Some((base, entry, sum)) => {
                     self.base = base;
-                    self.offsets[entry] = Some(self.offset(sum, half, base));
+                    self.offsets.set(entry, self.offset(sum, half, base));
                 }
                 None => {
                     self.missed = Some((self.base, entry, sum));
@@ -418,7 +436,7 @@ impl RoundedSums {
         }
         let again = self.offset(sum, half, self.base);
         if again.error < offset.error {
-            self.offsets[entry] = Some(again);
+            self.offsets.set(entry, again);
         }
     }
 
@@ -431,7 +449,7 @@ impl RoundedSums {
     fn changes(&self, sums: impl Iterator<Item = (usize, i64)>) -> usize {
         let bases = sums.filter_map(|(entry, rank)| {
             let (sum, half) = rounded(rank)?;
-            Some(self.offsets[entry]?.base_of(sum, half))
+            Some(self.offsets.get(entry)?.base_of(sum, half))
         });
         let mut last = [f64::NEG_INFINITY, f64::INFINITY];
         let changes = |base: &[f64; 2]| {
