@@ -6,7 +6,7 @@ use byteorder::{ByteOrder, LittleEndian};
 
 use crate::ground::decimal;
 use crate::ground::error::Result;
-use crate::scan::{Column, MAX_DIGITS, NumberRule, Printf, Scalar};
+use crate::scan::{Column, MAX_DIGITS, Number, NumberRule, Printf, Scalar};
 
 /// `%g` and `repr` write numbers with a smaller exponent than this in scientific notation.
 const LEAST_PLAIN_EXPONENT: i32 = -4;
@@ -39,12 +39,82 @@ pub(super) fn parse(token: &str, scalar: Scalar, out: &mut Vec<u8>) -> Option<()
     Some(())
 }
 
+/// A number in the form that most texts have: digits, perhaps with a point between them and a minus before
+/// them, and no zeros before the others.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Plain {
+    is_negative: bool,
+    /// All digits as one number.
+    digits: u64,
+    /// How many of them follow the point; 0 without one.
+    decimals: u8,
+}
+
+impl Plain {
+    /// `None` if a text has another form, or more than 18 digits and a point.
+    #[inline]
+    pub(super) fn of(text: &str) -> Option<Self> {
+        /// A number of this many digits has 64 bits.
+        const MOST: usize = 19;
+        let text = text.as_bytes();
+        let (is_negative, text) = match text.split_first() {
+            Some((b'-', text)) => (true, text),
+            _ => (false, text),
+        };
+        if !(1..=MOST).contains(&text.len()) {
+            return None;
+        }
+        let (mut digits, mut point) = (0, None);
+        for (at, byte) in text.iter().enumerate() {
+            match byte.wrapping_sub(b'0') {
+                digit @ 0..10 => digits = 10 * digits + u64::from(digit),
+                _ if *byte == b'.' && point.is_none() => point = Some(at),
+                _ => return None,
+            }
+        }
+        let whole = point.unwrap_or(text.len());
+        let decimals = text.len() - (whole + 1).min(text.len());
+        let has_both = whole > 0 && (decimals > 0 || point.is_none());
+        let is_short = whole == 1 || text[0] != b'0';
+        (has_both && is_short).then_some(Plain { is_negative, digits, decimals: decimals as u8 })
+    }
+
+    /// The value as a floating-point number; `None` if its text must be parsed to know it.
+    fn float(self, is_single: bool) -> Option<f64> {
+        let magnitude = match (self.digits, is_single) {
+            (0, _) => 0.0,
+            (digits, true) => decimal::single(digits, -i32::from(self.decimals))?.into(),
+            (digits, false) => decimal::double(digits, self.decimals.into())?,
+        };
+        Some(if self.is_negative { -magnitude } else { magnitude })
+    }
+
+    /// The value as an integer; `None` if it has a point, or is written as -0.
+    fn integer(self) -> Option<i128> {
+        let magnitude = i128::from(self.digits);
+        let is_whole = self.decimals == 0 && !(self.is_negative && magnitude == 0);
+        is_whole.then_some(if self.is_negative { -magnitude } else { magnitude })
+    }
+}
+
+/// As [`parse`], for a text that has been taken apart, if it has the form of most.
+#[inline]
+pub(super) fn parse_taken(text: &str, plain: Option<Plain>, scalar: Scalar, out: &mut Vec<u8>) -> Option<()> {
+    match (scalar, plain.and_then(|plain| plain.float(scalar == Scalar::F32))) {
+        (Scalar::F32, Some(value)) => out.extend((value as f32).to_le_bytes()),
+        (Scalar::F64, Some(value)) => out.extend(value.to_le_bytes()),
+        _ => parse(text, scalar, out)?,
+    }
+    Some(())
+}
+
 /// Writes values as text; holds the buffers for the digits.
 #[derive(Default)]
 pub(super) struct NumberWriter {
     printf: Printf,
     digits: Vec<u8>,
     rounded: Vec<u8>,
+    written: Vec<u8>,
 }
 
 impl NumberWriter {
@@ -68,6 +138,59 @@ impl NumberWriter {
             }
         }
         Ok(())
+    }
+
+    /// Whether [`write`](Self::write) gives this text, which has been taken apart if it has the form of most.
+    pub(super) fn gives(
+        &mut self,
+        text: &str,
+        plain: Option<Plain>,
+        value: &[u8],
+        column: Column,
+    ) -> Result<bool> {
+        if let Some(is_same) = plain.and_then(|plain| self.gives_plain(plain, value, column)) {
+            return Ok(is_same);
+        }
+        let mut written = std::mem::take(&mut self.written);
+        written.clear();
+        self.write(value, column, &mut written)?;
+        self.written = written;
+        Ok(self.written == text.as_bytes())
+    }
+
+    /// Whether [`write`](Self::write) gives this number, compared as integers; `None` if it must be written
+    /// to know that.
+    fn gives_plain(&self, plain: Plain, bytes: &[u8], column: Column) -> Option<bool> {
+        let value = match column.scalar {
+            Scalar::F32 => f64::from(LittleEndian::read_f32(bytes)),
+            Scalar::F64 => LittleEndian::read_f64(bytes),
+            scalar => {
+                let Some(Number::Integer(value)) = scalar.number(bytes) else { return None };
+                return (column.rule == NumberRule::Integer).then_some(plain.integer() == Some(value));
+            }
+        };
+        if !value.is_finite() || value.is_sign_negative() != plain.is_negative {
+            return Some(false);
+        }
+        let value = value.abs();
+        match column.rule {
+            NumberRule::Fixed(decimals) => {
+                let value = self.settled(value, |exact| exact == i32::from(decimals) + 1);
+                let number = decimal::fixed(value, decimals.into())?;
+                Some(plain.decimals == decimals && plain.digits == number)
+            }
+            NumberRule::Significant(digits) if !self.printf.ties_away => {
+                let (number, exponent) = decimal::significant(value, digits.into())?;
+                let is_plain = (LEAST_PLAIN_EXPONENT..i32::from(digits)).contains(&exponent);
+                let is_short = plain.decimals == 0 || !plain.digits.is_multiple_of(10);
+                // The number has zeros at the end that the text lacks.
+                let zeros = i32::from(digits) - 1 - exponent - i32::from(plain.decimals);
+                let all = u32::try_from(zeros).ok().and_then(|zeros| 10u64.checked_pow(zeros));
+                let all = all.and_then(|power| plain.digits.checked_mul(power));
+                Some(is_plain && is_short && all == Some(number))
+            }
+            _ => None,
+        }
     }
 
     /// Appends the text of `value`. Single precision is widened without loss by the caller.
@@ -95,6 +218,17 @@ impl NumberWriter {
                 self.write_scientific(exponent, out)?;
             }
             NumberRule::Significant(digits) => {
+                if !self.printf.ties_away
+                    && let Some((mut number, exponent)) = decimal::significant(value, digits.into())
+                    && (LEAST_PLAIN_EXPONENT..i32::from(digits)).contains(&exponent)
+                {
+                    let mut decimals = (i32::from(digits) - 1 - exponent) as usize;
+                    while decimals > 0 && number.is_multiple_of(10) {
+                        (number, decimals) = (number / 10, decimals - 1);
+                    }
+                    write_fixed(number, decimals, out);
+                    return Ok(());
+                }
                 let exponent = self.take_digits(value, Some(usize::from(digits).saturating_sub(1)), false)?;
                 while self.digits.len() > 1 && self.digits.ends_with(b"0") {
                     self.digits.pop();
@@ -260,6 +394,8 @@ fn write_plain(digits: &[u8], exponent: i32, point_zero: bool, out: &mut Vec<u8>
 pub(super) struct Survey {
     /// The most digits of a number, not counting leading zeros.
     significant: usize,
+    /// The largest number without its point, of those that have been taken apart.
+    largest: u64,
     /// The fewest and the most digits after the decimal point.
     decimals: (usize, usize),
     /// Whether there are numbers with an exponent, and numbers without.
@@ -270,11 +406,27 @@ pub(super) struct Survey {
 impl Survey {
     /// The survey of an empty column.
     pub(super) fn new() -> Self {
-        Survey { significant: 1, decimals: (usize::MAX, 0), with_exponent: false, without_exponent: false }
+        Survey {
+            significant: 1,
+            largest: 0,
+            decimals: (usize::MAX, 0),
+            with_exponent: false,
+            without_exponent: false,
+        }
     }
 
-    /// Takes one more text into account. NaN and infinity carry no information.
-    pub(super) fn add(&mut self, token: &str) {
+    /// Takes one more text into account, which has been taken apart if it has the form of most. NaN and
+    /// infinity carry no information.
+    #[inline]
+    pub(super) fn add(&mut self, token: &str, plain: Option<Plain>) {
+        let Some(Plain { digits, decimals, .. }) = plain else { return self.add_other(token) };
+        self.largest = self.largest.max(digits);
+        let decimals = usize::from(decimals);
+        self.decimals = (self.decimals.0.min(decimals), self.decimals.1.max(decimals));
+        self.without_exponent = true;
+    }
+
+    fn add_other(&mut self, token: &str) {
         let (mantissa, exponent) = match token.split_once('e') {
             Some((mantissa, _)) => (mantissa, true),
             None => (token, false),
@@ -310,7 +462,8 @@ impl Survey {
                 _ => {}
             }
         }
-        let significant = within(self.significant);
+        let most = self.largest.checked_ilog10().map_or(0, |below| below as usize + 1);
+        let significant = within(self.significant.max(most));
         rules.extend(significant.map(NumberRule::Significant));
         for (double, point_zero) in [(false, true), (true, true), (false, false), (true, false)] {
             rules.push(NumberRule::Shortest { double, point_zero });
@@ -322,6 +475,7 @@ impl Survey {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ground::random::Rng;
 
     fn text(value: f64, scalar: Scalar, rule: NumberRule) -> String {
         let bytes = match scalar {
@@ -417,6 +571,49 @@ mod tests {
         assert_eq!(text(2f64.powi(-44), Scalar::F64, rule(true, true)), "5.684341886080802e-14");
         assert_eq!(text(1.5e16, Scalar::F64, rule(true, true)), "1.5e+16");
         assert_eq!(text(12e14, Scalar::F64, rule(true, true)), "1200000000000000.0");
+    }
+
+    /// Numbers that are compared as integers give the same answers as texts that are written and compared.
+    #[test]
+    fn numbers_taken_apart_stand_for_their_texts() {
+        let mut random = Rng::keyed(7, &[]);
+        let rules = [NumberRule::Fixed(0), NumberRule::Fixed(3), NumberRule::Significant(5)];
+        let rules = rules.into_iter().chain([NumberRule::Significant(9), NumberRule::Scientific(2)]);
+        let rules: Vec<_> = rules.chain([NumberRule::Shortest { double: false, point_zero: true }]).collect();
+        let (mut same, mut different) = (0, 0);
+        for number in 0..60_000 {
+            let mut below = |most: usize| random.below(most);
+            let value = match number % 3 {
+                0 => below(400_000) as f64 / 1000.0 - 200.0,
+                1 => f64::from(f32::from_bits(below(1 << 32) as u32)),
+                _ => below(1000) as f64 / 2f64.powi(below(20) as i32),
+            };
+            let (scalar, rule) = ([Scalar::F32, Scalar::F64][below(2)], rules[below(rules.len())]);
+            let column = Column { scalar, rule };
+            let bytes = match scalar {
+                Scalar::F32 => (value as f32).to_le_bytes().to_vec(),
+                _ => value.to_le_bytes().to_vec(),
+            };
+            let mut writer = NumberWriter::new(Printf { ties_away: below(4) == 0, long_exponent: false });
+            let mut written = Vec::new();
+            writer.write(&bytes, column, &mut written).unwrap();
+            let mut text = String::from_utf8(written.clone()).unwrap();
+            match below(6) {
+                0 => text.push('0'),
+                1 => text.insert(0, ['-', '0', '1'][below(3)]),
+                2 => drop(text.pop()),
+                3 => text.push_str(".0"),
+                _ => {}
+            }
+            let gives = writer.gives(&text, Plain::of(&text), &bytes, column).unwrap();
+            assert_eq!(gives, text.as_bytes() == written, "{text} and {rule:?} of {value}");
+            (same, different) = (same + u32::from(gives), different + u32::from(!gives));
+            let (mut plain, mut parsed) = (Vec::new(), Vec::new());
+            let is_number = parse_taken(&text, Plain::of(&text), scalar, &mut plain);
+            assert_eq!(is_number, parse(&text, scalar, &mut parsed), "{text}");
+            assert_eq!(plain, parsed, "{text}");
+        }
+        assert!(same > 10_000 && different > 10_000, "{same} and {different}");
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //! ways, so the rule of each column is found by trial, and its type too unless it is declared.
 
 use super::field::{Declared, layout_of, name_of};
-use super::number::{self, NumberWriter, Survey};
+use super::number::{self, NumberWriter, Plain, Survey};
 use super::records;
 use crate::ground::error::Result;
 use crate::scan::{
@@ -67,36 +67,34 @@ impl<'a> Body<'a> {
         } else if format.is_padded() {
             return None;
         }
-        let mut tokens: Vec<&str> = Vec::new(); // of all lines, line by line
-        let mut scratch = Vec::new();
+        let mut numbers = Numbers::new(scalars.len());
         let mut rest = body;
         let mut lines = 0u64;
         while lines < points
             && let Some(line) = first_line(rest)
             // The width of a number that was cut short says nothing.
             && (line.ends_with('\n') || !is_padded)
-            && format.read_line(line, scalars, &mut tokens, &mut scratch).is_some()
+            && format.read_line(line, scalars, &mut numbers).is_some()
         {
             rest = &rest[line.len()..];
             lines += 1;
             format.open_end = !line.ends_with('\n');
         }
         if is_padded {
-            format.widths = widths(scalars.len(), &tokens)?;
-            tokens.iter_mut().for_each(|token| *token = token.trim_start_matches(' '));
+            format.widths = widths(scalars.len(), &numbers.texts)?;
+            numbers.texts.iter_mut().for_each(|text| *text = text.trim_start_matches(' '));
         }
-        let found = find_format(scalars, &tokens).or_else(|| {
+        let found = find_format(scalars, &numbers).or_else(|| {
             // If the file was cut short, the last number may be incomplete too.
-            let last = tokens.len().checked_sub(scalars.len()).filter(|_| format.open_end)?;
-            tokens.truncate(last);
+            numbers.truncate(numbers.lines().checked_sub(1).filter(|_| format.open_end)?);
             format.open_end = false;
             let end = body.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
             rest = &body[end..];
-            find_format(scalars, &tokens)
+            find_format(scalars, &numbers)
         });
         let values;
         (format.printf, format.columns, values) = found?;
-        Some(Body { format, records: tokens.len() / scalars.len(), values, rest })
+        Some(Body { format, records: numbers.lines(), values, rest })
     }
 
     /// A body in which the values of one byte are written as such, as C++ streams write characters and old
@@ -108,7 +106,8 @@ impl<'a> Body<'a> {
         if count == 0 {
             return None;
         }
-        let mut lines = Characters { format: None, tokens: Vec::new(), bytes: Vec::new() };
+        let mut lines =
+            Characters { format: None, numbers: Numbers::new(of_numbers.len()), bytes: Vec::new() };
         let mut rest = body;
         let mut records = 0;
         while (records as u64) < points
@@ -118,8 +117,8 @@ impl<'a> Body<'a> {
             records += 1;
         }
         // A line that was read in part.
-        lines.tokens.truncate(records * of_numbers.len());
-        let (printf, columns, values) = find_format(&of_numbers, &lines.tokens)?;
+        lines.numbers.truncate(records);
+        let (printf, columns, values) = find_format(&of_numbers, &lines.numbers)?;
         let mut of_numbers = columns.into_iter().zip(values);
         let mut of_bytes = 0..;
         let columns = scalars.iter().map(|scalar| match *scalar {
@@ -144,8 +143,7 @@ fn is_character(scalar: Option<Scalar>) -> bool {
 struct Characters<'a> {
     /// That of the first line, without columns.
     format: Option<TextFormat>,
-    /// The numbers of all lines.
-    tokens: Vec<&'a str>,
+    numbers: Numbers<'a>,
     bytes: Vec<u8>,
 }
 
@@ -153,7 +151,7 @@ impl<'a> Characters<'a> {
     /// Takes the values out of the next line. Returns what follows it; `None` if it is not like the lines
     /// before.
     fn read_line(&mut self, mut rest: &'a [u8], scalars: &[Option<Scalar>]) -> Option<&'a [u8]> {
-        let mut scratch = Vec::new();
+        let mut column = 0;
         for (at, &scalar) in scalars.iter().enumerate() {
             if at > 0 {
                 rest = rest.strip_prefix(b" ")?;
@@ -167,8 +165,8 @@ impl<'a> Characters<'a> {
             let end = rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len());
             let (token, after) = rest.split_at(end);
             let token = std::str::from_utf8(token).ok()?;
-            number::parse(token, scalar.unwrap_or(Scalar::F64), &mut scratch)?;
-            self.tokens.push(token);
+            self.numbers.push(column, token, token, scalar)?;
+            column += 1;
             rest = after;
         }
         let format = self.format.get_or_insert_with(|| {
@@ -192,18 +190,71 @@ impl<'a> Characters<'a> {
     }
 }
 
+/// The numbers of some lines.
+struct Numbers<'a> {
+    /// The texts, line by line, with the spaces that fill them up.
+    texts: Vec<&'a str>,
+    /// The same numbers taken apart, column by column; `None` if one has not the form of most.
+    plain: Vec<Vec<Option<Plain>>>,
+    scratch: Vec<u8>,
+}
+
+impl<'a> Numbers<'a> {
+    fn new(columns: usize) -> Self {
+        Numbers { texts: Vec::new(), plain: vec![Vec::new(); columns], scratch: Vec::new() }
+    }
+
+    /// The number of whole lines.
+    fn lines(&self) -> usize {
+        self.texts.len() / self.plain.len().max(1)
+    }
+
+    /// Adds the next number, of this column; `None` if it is not one, or not of this type. `number` is its
+    /// text without the spaces that fill it up.
+    #[inline]
+    fn push(&mut self, column: usize, text: &'a str, number: &str, scalar: Option<Scalar>) -> Option<()> {
+        let plain = Plain::of(number);
+        let scalar = scalar.unwrap_or(Scalar::F64);
+        if plain.is_none() || !scalar.is_float() {
+            self.scratch.clear();
+            number::parse(number, scalar, &mut self.scratch)?;
+        }
+        self.plain.get_mut(column)?.push(plain);
+        self.texts.push(text);
+        Some(())
+    }
+
+    /// Keeps the first lines only.
+    fn truncate(&mut self, lines: usize) {
+        self.texts.truncate(lines * self.plain.len());
+        self.plain.iter_mut().for_each(|plain| plain.truncate(lines));
+    }
+
+    /// The numbers of a column, as texts and taken apart.
+    fn column(&self, at: usize) -> impl Iterator<Item = (&'a str, Option<Plain>)> + Clone {
+        let texts = self.texts.iter().skip(at).step_by(self.plain.len());
+        texts.copied().zip(self.plain[at].iter().copied())
+    }
+
+    /// The texts of those that have not the form of most.
+    fn others(&self) -> impl Iterator<Item = &'a str> {
+        let all = (0..self.plain.len()).flat_map(|at| self.column(at));
+        all.filter(|(_, plain)| plain.is_none()).map(|(text, _)| text)
+    }
+}
+
 /// How numbers are printed, and the columns with the values of each. `None` if there are no columns, or if no
 /// rule restores the texts of one.
-fn find_format(scalars: &[Option<Scalar>], tokens: &[&str]) -> Option<(Printf, Vec<Column>, Vec<Vec<u8>>)> {
-    let is_long = |token: &&str| {
+fn find_format(scalars: &[Option<Scalar>], numbers: &Numbers) -> Option<(Printf, Vec<Column>, Vec<Vec<u8>>)> {
+    let is_long = |text: &str| {
         let exponent =
-            token.split_once('e').map_or("", |(_, exponent)| exponent.trim_start_matches(['+', '-']));
+            text.split_once('e').map_or("", |(_, exponent)| exponent.trim_start_matches(['+', '-']));
         exponent.len() > 2 && exponent.starts_with('0')
     };
-    let long_exponent = tokens.iter().any(is_long);
+    let long_exponent = numbers.others().any(is_long);
     [false, true].into_iter().find_map(|ties_away| {
         let printf = Printf { ties_away, long_exponent };
-        let (columns, values) = find_columns(scalars, tokens, printf)?;
+        let (columns, values) = find_columns(scalars, numbers, printf)?;
         Some((printf, columns, values))
     })
 }
@@ -211,12 +262,12 @@ fn find_format(scalars: &[Option<Scalar>], tokens: &[&str]) -> Option<(Printf, V
 /// The columns, with the values of each.
 fn find_columns(
     scalars: &[Option<Scalar>],
-    tokens: &[&str],
+    numbers: &Numbers,
     printf: Printf,
 ) -> Option<(Vec<Column>, Vec<Vec<u8>>)> {
-    let texts = |at: usize| tokens.iter().skip(at).step_by(scalars.len()).copied();
-    let columns = scalars.iter().enumerate().map(|(at, &scalar)| find_column(scalar, texts(at), printf));
-    columns.collect::<Option<_>>().filter(|_| !tokens.is_empty())
+    let columns =
+        scalars.iter().enumerate().map(|(at, &scalar)| find_column(scalar, numbers.column(at), printf));
+    columns.collect::<Option<_>>().filter(|_| numbers.lines() > 0)
 }
 
 /// The width up to which spaces fill each column's texts, or 0; `None` if they are filled up in another way,
@@ -336,7 +387,7 @@ const ANY: [Scalar; 10] = {
 /// preserves every digit are stored as float32: many programs print float32 values as doubles.
 fn find_column<'a>(
     declared: Option<Scalar>,
-    texts: impl Iterator<Item = &'a str> + Clone,
+    numbers: impl Iterator<Item = (&'a str, Option<Plain>)> + Clone,
     printf: Printf,
 ) -> Option<(Column, Vec<u8>)> {
     let candidates = match &declared {
@@ -346,8 +397,10 @@ fn find_column<'a>(
     };
     candidates.iter().find_map(|&scalar| {
         let mut values = Vec::new();
-        texts.clone().try_for_each(|text| number::parse(text, scalar, &mut values))?;
-        let pairs = texts.clone().zip(values.chunks_exact(scalar.size() as usize));
+        numbers
+            .clone()
+            .try_for_each(|(text, plain)| number::parse_taken(text, plain, scalar, &mut values))?;
+        let pairs = numbers.clone().zip(values.chunks_exact(scalar.size() as usize));
         let column = find_rule(scalar, pairs, printf)?;
         Some((column, values))
     })
@@ -356,18 +409,15 @@ fn find_column<'a>(
 /// The first rule that restores all these texts from these values.
 fn find_rule<'t, 'v>(
     scalar: Scalar,
-    pairs: impl Iterator<Item = (&'t str, &'v [u8])> + Clone,
+    pairs: impl Iterator<Item = ((&'t str, Option<Plain>), &'v [u8])> + Clone,
     printf: Printf,
 ) -> Option<Column> {
     let mut survey = Survey::new();
-    pairs.clone().for_each(|(text, _)| survey.add(text));
+    pairs.clone().for_each(|((text, plain), _)| survey.add(text, plain));
     let mut writer = NumberWriter::new(printf);
-    let mut out = Vec::new();
     survey.candidates(scalar).into_iter().map(|rule| Column { scalar, rule }).find(|&column| {
-        pairs.clone().all(|(text, value)| {
-            out.clear();
-            writer.write(value, column, &mut out).is_ok() && out == text.as_bytes()
-        })
+        let mut gives = |text, plain, value| writer.gives(text, plain, value, column).is_ok_and(|same| same);
+        pairs.clone().all(|((text, plain), value)| gives(text, plain, value))
     })
 }
 
@@ -425,8 +475,8 @@ impl TextFormat {
             let text = rest?;
             // Those that fill a number up are not separators.
             let filled = if is_padded { text.len() - text.trim_start_matches(' ').len() } else { 0 };
-            let (own, after) = match text[filled..].split_once(separator) {
-                Some((own, after)) => (&text[..filled + own.len()], Some(after)),
+            let (own, after) = match text.bytes().skip(filled).position(|byte| byte == separator as u8) {
+                Some(length) => (&text[..filled + length], Some(&text[filled + length + 1..])),
                 None => (text, None),
             };
             rest = after;
@@ -453,26 +503,21 @@ impl TextFormat {
         })
     }
 
-    /// Takes the texts out of a line; `None`, with nothing taken, if the line does not have this format.
-    /// `scratch` spares an allocation for each line.
+    /// Takes the numbers out of a line; `None`, with nothing taken, if the line does not have this format.
     fn read_line<'a>(
         &self,
         line: &'a str,
         scalars: &[Option<Scalar>],
-        tokens: &mut Vec<&'a str>,
-        scratch: &mut Vec<u8>,
+        numbers: &mut Numbers<'a>,
     ) -> Option<()> {
-        let before = tokens.len();
-        scratch.clear();
-        let mut scalars_left = scalars.iter();
-        let complete = self.texts(line)?.try_for_each(|token| {
-            let number = self.without_padding(token);
-            number::parse(number, scalars_left.next()?.unwrap_or(Scalar::F64), scratch)?;
-            tokens.push(token);
-            Some(())
+        let before = numbers.lines();
+        let mut scalars_left = scalars.iter().enumerate();
+        let complete = self.texts(line)?.try_for_each(|text| {
+            let (column, &scalar) = scalars_left.next()?;
+            numbers.push(column, text, self.without_padding(text), scalar)
         });
         if complete.is_none() || scalars_left.next().is_some() {
-            tokens.truncate(before);
+            numbers.truncate(before);
             return None;
         }
         Some(())

@@ -22,24 +22,27 @@ fn scaled(value: f64, exponent: i32) -> Option<f64> {
 pub fn significant(value: f64, digits: u32) -> Option<(u64, i32)> {
     /// More than the error of a product below 10^9.
     const ERROR: f64 = 1e-6;
+    /// The decimal logarithm of 2, in units of 2^-12: accurate enough for the octaves of these values.
+    const LOG10_2: i32 = 1233;
+    const LOG10_2_BITS: u32 = 12;
     if !(1e-12..1e15).contains(&value) || !(1..=MOST_DIGITS).contains(&digits) {
         return None;
     }
     let (least, last) = (POWERS[digits as usize - 1], digits as i32 - 1);
     // The exponent of two. The exponent of ten estimated from it is right or one too small.
     let octave = (value.to_bits() >> 52) as i32 - 1023;
-    let mut exponent = (f64::from(octave) * std::f64::consts::LOG10_2).floor() as i32;
+    let mut exponent = (octave * LOG10_2) >> LOG10_2_BITS;
     let mut number = scaled(value, last - exponent)?;
     if number >= 10.0 * least {
         exponent += 1;
         number = scaled(value, last - exponent)?;
     }
-    let whole = number.floor();
-    let rest = number - whole;
+    let whole = number as u64;
+    let rest = number - whole as f64;
     if (rest - 0.5).abs() < ERROR {
         return None;
     }
-    let nearest = whole as u64 + u64::from(rest > 0.5);
+    let nearest = whole + u64::from(rest > 0.5);
     let least = least as u64;
     Some(if nearest == 10 * least { (least, exponent + 1) } else { (nearest, exponent) })
         .filter(|(number, _)| *number >= least)
@@ -94,6 +97,15 @@ pub fn single(number: u64, exponent: i32) -> Option<f32> {
     // Rounding to float64 either leaves a number on its side of the midpoint between two float32 values or
     // puts it on the midpoint.
     (number < 1 << 53 && value.to_bits() & BELOW != HALF).then_some(value as f32)
+}
+
+/// The float64 nearest to an integer divided by 10^`decimals`. None if float64 arithmetic cannot guarantee the
+/// rounding.
+#[inline]
+pub fn double(number: u64, decimals: u32) -> Option<f64> {
+    // Both are exact, and their quotient is rounded once.
+    let power = POWERS.get(decimals as usize)?;
+    (number < 1 << 53).then_some(number as f64 / power)
 }
 
 #[cfg(test)]

@@ -43,7 +43,7 @@ pub fn undo(cloud: &PointCloud, scanner: &Firings) -> Option<(Vec<[f32; 3]>, Sta
         let Some(motion) = found.find(|motion| is_better(share(&sight, few.iter(), motion), without)) else {
             continue;
         };
-        let Some(motion) = search(&sight, &points, motion, &LAST_ROUNDS) else { continue };
+        let Some(motion) = last_digits(&sight, &points, motion) else { continue };
         if is_better(share(&sight, points.iter(), &motion), without) {
             let measured = measured(&sight, &cloud.positions, &parts, &motion);
             return Some((measured, Stamped { channel, moment, motion, misses: Vec::new() }));
@@ -220,13 +220,22 @@ fn measured(sight: &Sight, positions: &[[f32; 3]], parts: &[f64], motion: &Motio
 const ROUNDS: [f64; 8] = [1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7];
 /// The first of these iterations for a motion that is nearly right.
 const SURE: usize = 3;
-/// The distances for the last digits, which points with small coordinates determine.
-const LAST_ROUNDS: [f64; 5] = [1e-6, 1e-7, 1e-9, 1e-11, 1e-11];
 
 /// The motion for which the formula's points are nearest to those of the file.
 fn search(sight: &Sight, points: &[Point], mut motion: Motion, rounds: &[f64]) -> Option<Motion> {
     for &even in rounds {
-        motion = step(sight, points, &motion, even, false)?;
+        motion = step(&pairs(sight, points, &motion), 0, &motion, even)?;
+    }
+    motion.is_possible().then_some(motion)
+}
+
+/// The last digits of a motion that is nearly right, so that the formula's points do not change.
+fn last_digits(sight: &Sight, points: &[Point], mut motion: Motion) -> Option<Motion> {
+    /// As in [`ROUNDS`]; points with small coordinates determine the last digits.
+    const ROUNDS: [f64; 5] = [1e-6, 1e-7, 1e-9, 1e-11, 1e-11];
+    let pairs = pairs(sight, points, &motion);
+    for even in ROUNDS {
+        motion = step(&pairs, 0, &motion, even)?;
     }
     motion.is_possible().then_some(motion)
 }
@@ -235,57 +244,73 @@ fn search(sight: &Sight, points: &[Point], mut motion: Motion, rounds: &[f64]) -
 fn search_with_constants(sight: &Sight, points: &[Point], mut motion: Motion) -> Option<Motion> {
     const ROUNDS: [f64; 4] = [1e-3, 1e-3, 1e-3, 1e-4];
     for even in ROUNDS {
-        motion = step(sight, points, &motion, even, true)?;
+        motion = step(&pairs(sight, points, &motion), sight.rows(), &motion, even)?;
     }
     motion.is_possible().then_some(motion)
 }
 
-/// An iteration of weighted least squares. If constants are free, those of each laser are eliminated.
-fn step(
-    sight: &Sight,
-    points: &[Point],
-    motion: &Motion,
-    even: f64,
-    constants_are_free: bool,
-) -> Option<Motion> {
+/// A point of the file and that of the formula, in metres.
+struct Pair {
+    there: [f64; 3],
+    formula: [f64; 3],
+    row: u32,
+    part: f64,
+    /// Half a unit in the last place of each coordinate of the file.
+    rounding: [f64; 3],
+}
+
+/// The points with those of the formula that are nearest to them once they are moved back.
+fn pairs(sight: &Sight, points: &[Point], motion: &Motion) -> Vec<Pair> {
+    let mover = Mover::new(motion);
+    let pair = |point: &Point| {
+        let there = point.position.map(f64::from);
+        let (found, formula) = sight.nearest(mover.at(point.part).undone(there))?;
+        let rounding = point.position.map(|metres| 0.5 * (f64::from(metres.next_up()) - f64::from(metres)));
+        Some(Pair { there, formula, row: found.row, part: point.part, rounding })
+    };
+    points.iter().filter_map(pair).collect()
+}
+
+/// An iteration of weighted least squares. The constants of the first `rows` lasers are free, and eliminated.
+fn step(pairs: &[Pair], rows: usize, motion: &Motion, even: f64) -> Option<Motion> {
     /// Metres: a point farther off belongs to another return.
     const FARTHEST: f64 = 0.05;
     /// Regularises components that the points do not determine, relative to their own scale.
     const RIDGE: f64 = 1e-12;
     let mover = Mover::new(motion);
-    let rows = if constants_are_free { sight.rows() } else { 0 };
     let mut lasers = vec![Laser::default(); rows];
-    let mut system = SMatrix::<f64, 6, 6>::zeros();
+    // Of a symmetric matrix, the upper half.
+    let mut upper = [[0.0; 6]; 6];
     let mut right = SVector::<f64, 6>::zeros();
-    for point in points {
-        let there = point.position.map(f64::from);
-        let motion = mover.at(point.part);
-        let Some((found, formula)) = sight.nearest(motion.undone(there)) else { continue };
-        let moved = motion.moved(formula);
-        let [x, y, z] = formula;
+    for pair in pairs {
+        let moved = mover.at(pair.part).moved(pair.formula);
+        let [x, y, z] = pair.formula;
         let rho = (x * x + y * y).sqrt();
         // A small rotation moves a point by its cross product with it.
         let slopes = [[0.0, z, -y, 1.0, 0.0, 0.0], [-z, 0.0, x, 0.0, 1.0, 0.0], [y, -x, 0.0, 0.0, 0.0, 1.0]];
         // The same for changes of a laser's elevation and azimuth.
         let own = [[-z * x / rho, -y], [-z * y / rho, x], [rho, 0.0]];
         for axis in 0..3 {
-            let miss = there[axis] - moved[axis];
+            let miss = pair.there[axis] - moved[axis];
             if !(miss.abs() < FARTHEST && rho > 0.0) {
                 continue;
             }
-            let unit = f64::from(point.position[axis].next_up()) - f64::from(point.position[axis]);
-            let weight = (0.5 * unit).max(even).max(miss.abs()).powi(-2);
-            let slope = SVector::from(slopes[axis]) * point.part;
-            system += slope * slope.transpose() * weight;
-            right += slope * (miss * weight);
-            if let Some(laser) = lasers.get_mut(found.row as usize) {
+            let weight = pair.rounding[axis].max(even).max(miss.abs()).powi(-2);
+            let slope = slopes[axis].map(|slope| slope * pair.part);
+            for (row, sums) in upper.iter_mut().enumerate() {
+                let weighted = slope[row] * weight;
+                right[row] += weighted * miss;
+                (row..6).for_each(|column| sums[column] += weighted * slope[column]);
+            }
+            if let Some(laser) = lasers.get_mut(pair.row as usize) {
                 let own = Vector2::from(own[axis]);
                 laser.system += own * own.transpose() * weight;
                 laser.right += own * (miss * weight);
-                laser.shared += own * slope.transpose() * weight;
+                laser.shared += own * SVector::from(slope).transpose() * weight;
             }
         }
     }
+    let mut system = SMatrix::<f64, 6, 6>::from_fn(|row, column| upper[row.min(column)][row.max(column)]);
     for laser in lasers.iter().filter(|laser| laser.system.trace() > 0.0) {
         let system_of_laser = laser.system + Matrix2::identity() * (laser.system.trace() * RIDGE);
         let inverse = system_of_laser.try_inverse()?;
