@@ -11,12 +11,12 @@ use crate::study::bench::{Bench, Findings};
 use anyhow::{Result, ensure};
 
 use super::args::{ARTICLE, BenchArgs, encoder_config, wrong_usage};
+use super::console::Console;
 use super::errors::about;
 use super::input::{is_dash, is_stream, name_of};
 use super::output::{FileOutput, name_of_output, print_json};
-use super::progress;
 
-pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
+pub fn run(args: &BenchArgs, console: Console) -> Result<()> {
     let is_page_only = args.html.as_deref().is_some_and(is_dash);
     if is_page_only && (args.json || args.csv) {
         let what = "--html - takes stdout; write the page to a file, or leave --json and --csv out";
@@ -34,7 +34,7 @@ pub fn run(args: &BenchArgs, quiet: bool) -> Result<()> {
     let frames = FrameInput::found(frames);
     let in_input = |error| about(error, &args.input.display().to_string());
     let bench = Bench::new(&frames, &config, args.quick).map_err(in_input)?;
-    let bar = progress::bar(Some(bench.frames_to_code() as u64), "measuring", quiet);
+    let bar = console.bar(Some(bench.frames_to_code() as u64), "measuring");
     let findings = bench.run(&|| bar.inc(1));
     bar.finish_and_clear();
 

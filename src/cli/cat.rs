@@ -11,6 +11,7 @@ use anyhow::Result;
 use serde::Serialize;
 
 use super::args::CatArgs;
+use super::console::Console;
 use super::errors::about;
 use super::input::{Input, check_stdin_once, name_of, refuse_recordings};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
@@ -26,7 +27,7 @@ struct Report {
     seconds: f64,
 }
 
-pub fn run(args: &CatArgs, quiet: bool) -> Result<()> {
+pub fn run(args: &CatArgs, console: Console) -> Result<()> {
     check_stdin_once("cat", &args.inputs);
     check_json("cat", args.json, &args.output);
     let start = Instant::now();
@@ -41,8 +42,8 @@ pub fn run(args: &CatArgs, quiet: bool) -> Result<()> {
     if args.json {
         let Joined { streams, frames, stream_bytes, .. } = joined;
         print_json(&Report { file: name, streams, frames, stream_bytes, seconds })?;
-    } else if !quiet {
-        eprintln!("{} in {seconds:.1} s", summary(&joined));
+    } else {
+        console.say(format_args!("{} in {seconds:.1} s", summary(&joined)));
     }
     Ok(())
 }

@@ -10,6 +10,7 @@ use crate::scan::ScanFile;
 use crate::stream::DecodedFrame;
 
 use super::args::FormatArg;
+use super::console::Console;
 use super::table;
 
 /// A file to write.
@@ -55,14 +56,14 @@ impl Converter {
     }
 
     /// Tells how many files were not converted.
-    pub fn tell_unconverted(&self, quiet: bool) {
+    pub fn tell_unconverted(&self, console: Console) {
         let pointless = self.pointless.lock().unwrap_or_else(PoisonError::into_inner);
-        if let ((count, Some((_, first))), false) = (&*pointless, quiet) {
+        if let (count, Some((_, first))) = &*pointless {
             let first = first.replace(char::is_control, "?");
             let files = table::count(*count, "file");
-            eprintln!(
+            console.say(format_args!(
                 "lidarpc: {files} without points, such as {first}: not converted, but written as stored"
-            );
+            ));
         }
     }
 

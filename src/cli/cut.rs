@@ -10,6 +10,7 @@ use anyhow::Result;
 use serde::Serialize;
 
 use super::args::CutArgs;
+use super::console::Console;
 use super::errors::about;
 use super::input::{Input, chosen_frames, name_of, open, refuse_recordings, tell_files_left_out};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
@@ -27,27 +28,27 @@ struct Report {
     seconds: f64,
 }
 
-pub fn run(args: &CutArgs, quiet: bool) -> Result<()> {
+pub fn run(args: &CutArgs, console: Console) -> Result<()> {
     check_json("cut", args.json, &args.output);
     let start = Instant::now();
     let inputs = std::slice::from_ref(&args.input);
     refuse_recordings("cut", inputs, "encode its clouds to FILE.lpc, and cut that");
     let input = open(&args.input)?;
     keep_inputs(&args.output, inputs)?;
-    let frames = chosen_frames("cut", &args.input, (args.frames, args.time), args.limits.limits(), quiet)?;
+    let frames = chosen_frames("cut", &args.input, (args.frames, args.time), args.limits.limits(), console)?;
     let mut output = FileOutput::binary(&args.output, args.force)?;
     let name = name_of_output(&args.output);
     let cut =
         output.write(|out| cut_stream(args, input, frames, out)).map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
-    tell_files_left_out(&args.input, cut.files_left_out, quiet);
+    tell_files_left_out(&args.input, cut.files_left_out, console);
     let seconds = start.elapsed().as_secs_f64();
     if args.json {
         let Cut { copied, recoded, files_left_out, stream_bytes } = cut;
         let frames = copied + recoded;
         print_json(&Report { file: name, frames, copied, recoded, files_left_out, stream_bytes, seconds })?;
-    } else if !quiet {
-        eprintln!("{} in {seconds:.1} s", summary(&cut));
+    } else {
+        console.say(format_args!("{} in {seconds:.1} s", summary(&cut)));
     }
     Ok(())
 }

@@ -12,12 +12,13 @@ use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
 use super::args::{DecodeArgs, check_usage};
+use super::console::Console;
 use super::conversion::Converter;
 use super::errors::{about, say};
 use super::input::{Input, chosen_frames, is_dash, is_pipe, name_of, open, tell_files_left_out};
 use super::losses::{LossReport, Losses};
 use super::output::{FolderOutput, print_json};
-use super::{progress, table};
+use super::table;
 
 /// The machine-readable report.
 #[derive(Default, Serialize)]
@@ -42,7 +43,7 @@ impl Report {
     }
 }
 
-pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
+pub fn run(args: &DecodeArgs, console: Console) -> Result<()> {
     let [first, others @ ..] = &args.inputs[..] else { return Ok(()) };
     let chooses = args.frames.is_some() || args.time.is_some();
     let is_stdout = is_dash(args.output());
@@ -59,24 +60,29 @@ pub fn run(args: &DecodeArgs, quiet: bool) -> Result<()> {
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
-        frames: chosen_frames("decode", first, (args.frames, args.time), args.limits.limits(), quiet)?,
+        frames: chosen_frames("decode", first, (args.frames, args.time), args.limits.limits(), console)?,
         ..DecodeOptions::default()
     };
     let converter = Converter::new(args.format);
     match is_stdout {
-        true => to_stdout(args, first, &options, &converter, quiet),
-        false => to_folder(args, &options, &converter, quiet),
+        true => to_stdout(args, first, &options, &converter, console),
+        false => to_folder(args, &options, &converter, console),
     }
 }
 
 /// Decodes the inputs into a folder, and reports.
-fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, quiet: bool) -> Result<()> {
+fn to_folder(
+    args: &DecodeArgs,
+    options: &DecodeOptions,
+    converter: &Converter,
+    console: Console,
+) -> Result<()> {
     let start = Instant::now();
     // Before any output is created. Only one input is open at a time, as the system limits their number.
     let counts = args.inputs.iter().map(|path| frame_count(path, options.limits));
     let total = counts.sum::<Result<Option<u64>>>()?.map(|total| options.frames.count_of(total));
     let folder = FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs);
-    let bar = progress::bar(total, "decoding", quiet);
+    let bar = console.bar(total, "decoding");
     let mut report = Report { folder: args.output().display().to_string(), ..Report::default() };
     let mut errors = Vec::new();
     for path in &args.inputs {
@@ -100,18 +106,18 @@ fn to_folder(args: &DecodeArgs, options: &DecodeOptions, converter: &Converter, 
             bar.finish_and_clear();
             about(error, &name_of(path))
         })?;
-        tell_files_left_out(path, left_out, quiet);
+        tell_files_left_out(path, left_out, console);
         report.lost.extend(losses.report());
         errors.extend(losses.check(files).err());
     }
     bar.finish_and_clear();
     folder.finish()?;
-    converter.tell_unconverted(quiet);
+    converter.tell_unconverted(console);
     report.seconds = start.elapsed().as_secs_f64();
     if args.json {
         print_json(&report)?;
-    } else if !quiet {
-        eprintln!("{}", report.summary());
+    } else {
+        console.say(report.summary());
     }
     // The caller prints the first error, after the others.
     let mut errors = errors.into_iter();
@@ -161,7 +167,7 @@ fn to_stdout(
     path: &Path,
     options: &DecodeOptions,
     converter: &Converter,
-    quiet: bool,
+    console: Console,
 ) -> Result<()> {
     let input = open(path)?;
     let mut only: Option<DecodedFrame> = None;
@@ -177,6 +183,6 @@ fn to_stdout(
     let mut stdout = io::stdout().lock();
     let written = file.write(&mut |piece| Ok(stdout.write_all(piece)?));
     written.and_then(|()| Ok(stdout.flush()?)).context("stdout")?;
-    converter.tell_unconverted(quiet);
+    converter.tell_unconverted(console);
     losses.check(1)
 }

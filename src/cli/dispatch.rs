@@ -8,32 +8,33 @@ use crate::frame::EncoderConfig;
 use anyhow::Result;
 
 use super::args::{DecodeArgs, EncodeArgs, check_usage, encoder_config, wrong_usage};
+use super::console::Console;
 use super::input::{check_stdin_once, is_dash, is_recording};
 use super::output::check_json;
 use super::{decode, encode, messages, recording, tree};
 
 /// `encode`: messages, a recording, a tree of drives, or scans.
-pub fn encode(args: &EncodeArgs, quiet: bool) -> Result<()> {
+pub fn encode(args: &EncodeArgs, console: Console) -> Result<()> {
     let output = args.output.clone().unwrap_or_else(|| default_stream(args));
     let args = &EncodeArgs { output: Some(output), verify: args.verify || args.rm, ..args.clone() };
     let config = encoder_config("encode", &args.coding, args.threads.threads);
     check_encode(args, &config);
     if args.messages {
-        return messages::encode(args, &config, quiet);
+        return messages::encode(args, &config, console);
     }
     if args.inputs.iter().any(|input| is_recording(input)) {
-        return recording::encode(args, &config, quiet);
+        return recording::encode(args, &config, console);
     }
     if !args.topic.is_empty() {
         wrong_usage("encode", "--topic chooses clouds of a recording; the input is none");
     }
     if tree::is_folder(args.output()) && !args.inputs.iter().any(|input| is_dash(input)) {
-        return tree::encode(args, &config, quiet);
+        return tree::encode(args, &config, console);
     }
     if args.jobs.is_some() {
         wrong_usage("encode", "--jobs counts the drives that are encoded into a folder; the output is none");
     }
-    encode::run(args, config, quiet)
+    encode::run(args, config, console)
 }
 
 /// Ends the program if the options do not go together, whatever the kind of the input.
@@ -85,28 +86,28 @@ fn default_stream(args: &EncodeArgs) -> PathBuf {
 }
 
 /// `decode`: a tree of streams, a recording, streams, or messages.
-pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
+pub fn decode(args: &DecodeArgs, console: Console) -> Result<()> {
     let output = args.output.clone().unwrap_or_else(|| default_folder(args));
     let args = &DecodeArgs { output: Some(output), ..args.clone() };
     check_stdin_once("decode", &args.inputs);
     check_json("decode", args.json, args.output());
     if args.inputs.iter().any(|input| input.is_dir()) {
-        return tree::decode(args, |args| decode_streams(args, quiet));
+        return tree::decode(args, |args| decode_streams(args, console));
     }
     if args.inputs.iter().any(|input| is_recording(input)) {
-        return recording::decode(args, quiet);
+        return recording::decode(args, console);
     }
-    decode_streams(args, quiet)
+    decode_streams(args, console)
 }
 
 /// Decodes streams, or messages.
-fn decode_streams(args: &DecodeArgs, quiet: bool) -> Result<()> {
+fn decode_streams(args: &DecodeArgs, console: Console) -> Result<()> {
     if !args.topic.is_empty() {
         wrong_usage("decode", "--topic chooses clouds of a recording; the input is none");
     }
     match args.messages {
-        true => messages::decode(args, quiet),
-        false => decode::run(args, quiet),
+        true => messages::decode(args, console),
+        false => decode::run(args, console),
     }
 }
 

@@ -10,24 +10,25 @@ use crate::study::metrics;
 use anyhow::{Result, ensure};
 
 use super::args::EncodeArgs;
+use super::console::Console;
 use super::encoding::{Done, create_output, encode_found, finish_output};
 use super::errors::about;
 use super::frames;
 use super::input::is_dash;
 use super::output::{name_of_output, print_json};
 use super::report::{StreamReport, summary};
-use super::{progress, table};
+use super::table;
 
-pub fn run(args: &EncodeArgs, mut config: EncoderConfig, quiet: bool) -> Result<()> {
+pub fn run(args: &EncodeArgs, mut config: EncoderConfig, console: Console) -> Result<()> {
     let start = Instant::now();
     if args.inputs.iter().any(|input| is_dash(input)) {
-        let done = encode_stdin(args, &config, quiet)?;
-        return report(args, &config, &done, start, quiet);
+        let done = encode_stdin(args, &config, console)?;
+        return report(args, &config, &done, start, console);
     }
-    let found = frames::find(args, quiet)?;
-    frames::settle(&found.frames, &mut config, &frames::name_of_inputs(&args.inputs), quiet)?;
-    let done = encode_found(args, &config, &found, quiet)?;
-    report(args, &config, &done, start, quiet)?;
+    let found = frames::find(args, console)?;
+    frames::settle(&found.frames, &mut config, &frames::name_of_inputs(&args.inputs), console)?;
+    let done = encode_found(args, &config, &found, console)?;
+    report(args, &config, &done, start, console)?;
     if args.rm {
         found.delete(&args.inputs)?;
     }
@@ -35,10 +36,10 @@ pub fn run(args: &EncodeArgs, mut config: EncoderConfig, quiet: bool) -> Result<
 }
 
 /// Encodes frames from stdin as they arrive.
-fn encode_stdin(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<Done> {
+fn encode_stdin(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> Result<Done> {
     let name = name_of_output(args.output());
-    let mut output = create_output(args, quiet)?;
-    let bar = progress::bar(None, "encoding", quiet);
+    let mut output = create_output(args, console)?;
+    let bar = console.bar(None, "encoding");
     let mut arriving = ArrivingFrames::new(io::stdin());
     let input = |ArrivedFile { name, bytes }| FrameInput::memory(name, bytes);
     let frames = arriving.by_ref().map(|file| file.map(input));
@@ -46,19 +47,23 @@ fn encode_stdin(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Resul
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &name))?;
     let left_out = arriving.left_out().clone();
-    frames::check_left_out(&left_out, "stdin", args.strict, quiet)?;
+    frames::check_left_out(&left_out, "stdin", args.strict, console)?;
     if encoded.frames.is_empty() {
         ensure!(!args.strict, "stdin: held no frame; check what writes to it, or encode without --strict");
-        if !quiet {
-            eprintln!("lidarpc: stdin: held no frame, and so does {name}");
-        }
+        console.say(format_args!("lidarpc: stdin: held no frame, and so does {name}"));
     }
-    finish_output(args, output, &encoded, quiet)?;
+    finish_output(args, output, &encoded, console)?;
     Ok(Done { encoded, left_out, was_complete: false })
 }
 
 /// Reports what was encoded: frame by frame if that is wanted, then as JSON or in a line.
-fn report(args: &EncodeArgs, config: &EncoderConfig, done: &Done, start: Instant, quiet: bool) -> Result<()> {
+fn report(
+    args: &EncodeArgs,
+    config: &EncoderConfig,
+    done: &Done,
+    start: Instant,
+    console: Console,
+) -> Result<()> {
     let seconds = start.elapsed().as_secs_f64();
     let Done { encoded, left_out, was_complete } = done;
     if args.verbose {
@@ -72,13 +77,14 @@ fn report(args: &EncodeArgs, config: &EncoderConfig, done: &Done, start: Instant
         let mut report = StreamReport::of(args, config, encoded, left_out, seconds);
         report.was_complete = *was_complete;
         print_json(&report)?;
-    } else if *was_complete && !quiet {
+    } else if *was_complete {
         let name = name_of_output(args.output());
         let frames = table::count(encoded.frames.len() as u64, "frame");
         let verified = if args.verify { ", verified" } else { "" };
-        eprintln!("{name}: already complete, from these {frames} with these settings{verified}");
-    } else if !quiet {
-        eprintln!("{} in {seconds:.1} s", summary(args, config, encoded));
+        console
+            .say(format_args!("{name}: already complete, from these {frames} with these settings{verified}"));
+    } else {
+        console.say(format_args!("{} in {seconds:.1} s", summary(args, config, encoded)));
     }
     Ok(())
 }

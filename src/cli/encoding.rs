@@ -12,11 +12,11 @@ use anyhow::{Context, Result, bail, ensure};
 
 use super::args::EncodeArgs;
 use super::cleanup::SayOnSignal;
+use super::console::Console;
 use super::errors::about;
 use super::frames::InputFiles;
 use super::output::{FileOutput, name_of_output};
 use super::partial::{self, PartialOutput};
-use super::progress;
 
 /// The result of a run.
 pub struct Done {
@@ -36,7 +36,7 @@ pub fn encode_found(
     args: &EncodeArgs,
     config: &EncoderConfig,
     found: &InputFiles,
-    quiet: bool,
+    console: Console,
 ) -> Result<Done> {
     let complete = match args.resume && !args.force {
         true => {
@@ -46,9 +46,9 @@ pub fn encode_found(
     };
     let was_complete = complete.is_some();
     let encoded = match complete {
-        Some(stream) => confirm(args, config, &found.inputs(), stream, quiet)?,
-        None if args.resume => encode_in_runs(args, config, &found.inputs(), quiet)?,
-        None => encode_files(args, config, found, quiet)?,
+        Some(stream) => confirm(args, config, &found.inputs(), stream, console)?,
+        None if args.resume => encode_in_runs(args, config, &found.inputs(), console)?,
+        None => encode_files(args, config, found, console)?,
     };
     Ok(Done { encoded, left_out: found.left_out.clone(), was_complete })
 }
@@ -61,15 +61,15 @@ fn encode_files(
     args: &EncodeArgs,
     config: &EncoderConfig,
     found: &InputFiles,
-    quiet: bool,
+    console: Console,
 ) -> Result<Encoded> {
-    let mut output = create_output(args, quiet)?;
+    let mut output = create_output(args, console)?;
     let frames = found.inputs();
-    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
+    let bar = console.bar(Some(frames.len() as u64), "encoding");
     let encoded = output.write(|out| stream::encode(&frames, config, out, &|| bar.inc(1)));
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &name_of_output(args.output())))?;
-    finish_output(args, output, &encoded, quiet)?;
+    finish_output(args, output, &encoded, console)?;
     Ok(encoded)
 }
 
@@ -78,20 +78,20 @@ fn encode_in_runs(
     args: &EncodeArgs,
     config: &EncoderConfig,
     frames: &[FrameInput],
-    quiet: bool,
+    console: Console,
 ) -> Result<Encoded> {
     let name = name_of_output(args.output());
     let words =
         format!("interrupted; what is done is kept in {name}.partial, and the same command goes on with it");
-    let _words = (!quiet).then(|| SayOnSignal::new(words));
+    let _words = (!console.is_quiet).then(|| SayOnSignal::new(words));
     let output = PartialOutput::open(args.output(), args.force)?;
-    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
+    let bar = console.bar(Some(frames.len() as u64), "encoding");
     let encoded =
         output.files().and_then(|files| edit::encode_resuming(frames, config, files, &|| bar.inc(1)));
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &name))?;
     if args.verify {
-        verify(args, &encoded, output.reopen()?, quiet)?;
+        verify(args, &encoded, output.reopen()?, console)?;
     }
     output.finish().map_err(|error| about(error, &name))?;
     Ok(encoded)
@@ -106,10 +106,10 @@ fn confirm(
     config: &EncoderConfig,
     frames: &[FrameInput],
     mut stream: File,
-    quiet: bool,
+    console: Console,
 ) -> Result<Encoded> {
     let name = name_of_output(args.output());
-    let bar = progress::bar(Some(frames.len() as u64), "comparing", quiet);
+    let bar = console.bar(Some(frames.len() as u64), "comparing");
     let encoded = edit::confirm_complete(frames, config, &stream, &|| bar.inc(1));
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| match error {
@@ -121,7 +121,7 @@ fn confirm(
     })?;
     if args.verify {
         stream.rewind().map_err(|error| about(error.into(), &name))?;
-        verify(args, &encoded, stream, quiet)?;
+        verify(args, &encoded, stream, console)?;
     }
     Ok(encoded)
 }
@@ -130,15 +130,13 @@ fn confirm(
 ///
 /// # Errors
 /// If it exists or cannot be written.
-pub fn create_output(args: &EncodeArgs, quiet: bool) -> Result<FileOutput> {
+pub fn create_output(args: &EncodeArgs, console: Console) -> Result<FileOutput> {
     let output = FileOutput::binary(args.output(), args.force)?;
-    if let Some(left) = partial::left_for(args.output())
-        && !quiet
-    {
-        eprintln!(
+    if let Some(left) = partial::left_for(args.output()) {
+        console.say(format_args!(
             "lidarpc: {} of an interrupted run is left as it is; --resume goes on with it",
             left.display()
-        );
+        ));
     }
     Ok(output)
 }
@@ -147,10 +145,15 @@ pub fn create_output(args: &EncodeArgs, quiet: bool) -> Result<FileOutput> {
 ///
 /// # Errors
 /// If it decodes to something else, or if renaming fails.
-pub fn finish_output(args: &EncodeArgs, output: FileOutput, encoded: &Encoded, quiet: bool) -> Result<()> {
+pub fn finish_output(
+    args: &EncodeArgs,
+    output: FileOutput,
+    encoded: &Encoded,
+    console: Console,
+) -> Result<()> {
     if args.verify {
         let Some(file) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
-        verify(args, encoded, file, quiet)?;
+        verify(args, encoded, file, console)?;
     }
     output.finish().map_err(|error| about(error, &name_of_output(args.output())))
 }
@@ -159,10 +162,10 @@ pub fn finish_output(args: &EncodeArgs, output: FileOutput, encoded: &Encoded, q
 ///
 /// # Errors
 /// If it cannot be decoded, or decodes to something else.
-pub fn verify(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> Result<()> {
+pub fn verify(args: &EncodeArgs, encoded: &Encoded, file: File, console: Console) -> Result<()> {
     let name = || name_of_output(args.output());
     let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
-    let bar = progress::bar(Some(encoded.frames.len() as u64), "verifying", quiet);
+    let bar = console.bar(Some(encoded.frames.len() as u64), "verifying");
     let mut decoded = Vec::new();
     // Not the header's checksum, which the encoder wrote, but that of the decoded bytes.
     let identify = |frame: DecodedFrame| {
@@ -197,9 +200,9 @@ pub fn verify(args: &EncodeArgs, encoded: &Encoded, file: File, quiet: bool) -> 
 pub fn encode_in_memory(
     frames: &[FrameInput],
     config: &EncoderConfig,
-    quiet: bool,
+    console: Console,
 ) -> error::Result<(StageReport, Vec<u8>)> {
-    let bar = progress::bar(Some(frames.len() as u64), "encoding", quiet);
+    let bar = console.bar(Some(frames.len() as u64), "encoding");
     let mut stream = Vec::new();
     let encoded = stream::encode(frames, config, &mut stream, &|| bar.inc(1));
     bar.finish_and_clear();

@@ -11,10 +11,11 @@ use anyhow::Result;
 use serde::Serialize;
 
 use super::args::{EstimateArgs, encoder_config, wrong_usage};
+use super::console::Console;
 use super::errors::about;
 use super::input::is_recording;
 use super::output::print_json;
-use super::{frames, progress, table};
+use super::{frames, table};
 
 /// Number of groups that are encoded, spread over the sequence.
 const GROUPS: usize = 3;
@@ -32,19 +33,19 @@ struct Estimate {
     threads: usize,
 }
 
-pub fn run(args: &EstimateArgs, quiet: bool) -> Result<()> {
+pub fn run(args: &EstimateArgs, console: Console) -> Result<()> {
     if args.inputs.iter().any(|input| is_recording(input)) {
         wrong_usage("estimate", "estimates are for scans; `encode` a recording and see `stats`");
     }
     let mut config = encoder_config("estimate", &args.coding, args.threads.threads);
     let found = find_frames(&args.inputs)?.frames;
     let place = frames::name_of_inputs(&args.inputs);
-    frames::settle_layout(&found, &mut config, &place, quiet)?;
+    frames::settle_layout(&found, &mut config, &place, console)?;
     let all = FrameInput::found(found);
     let places = group_places(all.len(), config.gop);
     let sample: Vec<_> =
         places.into_iter().flat_map(|start| all[start..].iter().take(config.gop).cloned()).collect();
-    let bar = progress::bar(Some(sample.len() as u64), "encoding a sample", quiet);
+    let bar = console.bar(Some(sample.len() as u64), "encoding a sample");
     let start = Instant::now();
     let encoded = stream::encode(&sample, &config, io::sink(), &|| bar.inc(1));
     let seconds = start.elapsed().as_secs_f64();

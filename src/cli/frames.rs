@@ -15,6 +15,7 @@ use crate::study::metrics::{self, nearest_distances};
 use anyhow::{Result, bail, ensure};
 
 use super::args::EncodeArgs;
+use super::console::Console;
 use super::errors::about;
 use super::input::is_stream;
 use super::output::keep_inputs;
@@ -65,7 +66,7 @@ impl InputFiles {
 /// # Errors
 /// If there is no scan, or if an explicitly named file is not a scan or would be overwritten; with
 /// `--strict`, if anything is left out.
-pub fn find(args: &EncodeArgs, quiet: bool) -> Result<InputFiles> {
+pub fn find(args: &EncodeArgs, console: Console) -> Result<InputFiles> {
     let mut found = if args.all { find_all(&args.inputs)? } else { find_frames(&args.inputs)? };
     if !args.force_bytes {
         args.inputs.iter().filter(|input| input.is_file()).try_for_each(|input| check_scan(input))?;
@@ -98,7 +99,7 @@ pub fn find(args: &EncodeArgs, quiet: bool) -> Result<InputFiles> {
             left_out.add(kind, path, bytes);
         }
     }
-    check_left_out(&left_out, &name_of_inputs(&args.inputs), args.strict, quiet)?;
+    check_left_out(&left_out, &name_of_inputs(&args.inputs), args.strict, console)?;
     Ok(InputFiles { frames: found.frames, beside: found.beside, left_out })
 }
 
@@ -115,14 +116,13 @@ pub fn name_of_inputs(inputs: &[PathBuf]) -> String {
 ///
 /// # Errors
 /// If a scan cannot be read.
-pub fn settle(frames: &[FoundFile], config: &mut EncoderConfig, place: &str, quiet: bool) -> Result<()> {
-    settle_layout(frames, config, place, quiet)?;
+pub fn settle(frames: &[FoundFile], config: &mut EncoderConfig, place: &str, console: Console) -> Result<()> {
+    settle_layout(frames, config, place, console)?;
     let first = frames.first().cloned();
     if let Some(warning) =
         FrameInput::found(first).first().and_then(|first| loss_of_paper_mode(first, config))
-        && !quiet
     {
-        eprintln!("lidarpc: {place}: {warning}");
+        console.say(format_args!("lidarpc: {place}: {warning}"));
     }
     Ok(())
 }
@@ -135,7 +135,7 @@ pub fn settle_layout(
     frames: &[FoundFile],
     config: &mut EncoderConfig,
     place: &str,
-    quiet: bool,
+    console: Console,
 ) -> Result<()> {
     match record_length::examine(&samples(frames)?, config.headerless.as_ref()) {
         Verdict::Agrees => {}
@@ -150,19 +150,16 @@ pub fn settle_layout(
                 .headerless
                 .as_ref()
                 .map_or(String::new(), |given| format!(", not as --layout {given} has it"));
-            if !quiet {
-                eprintln!(
-                    "lidarpc: {place}: .bin files look like records of {bytes} bytes{given}, {says} --layout \
-                     {letters}; {advice}"
-                );
-            }
+            console.say(format_args!(
+                "lidarpc: {place}: .bin files look like records of {bytes} bytes{given}, {says} --layout {letters}; \
+                 {advice}"
+            ));
             config.headerless.get_or_insert(layout);
         }
-        Verdict::NoFloats if quiet => {}
-        Verdict::NoFloats => eprintln!(
+        Verdict::NoFloats => console.say(format_args!(
             "lidarpc: {place}: .bin files do not look like float32 x, y, z, intensity; they come back exactly, but if \
              --layout says what they hold, they may get smaller"
-        ),
+        )),
     }
     Ok(())
 }
@@ -171,7 +168,7 @@ pub fn settle_layout(
 ///
 /// # Errors
 /// If `strict`.
-pub fn check_left_out(left_out: &LeftOut, place: &str, strict: bool, quiet: bool) -> Result<()> {
+pub fn check_left_out(left_out: &LeftOut, place: &str, strict: bool, console: Console) -> Result<()> {
     if left_out.is_empty() {
         return Ok(());
     }
@@ -179,9 +176,7 @@ pub fn check_left_out(left_out: &LeftOut, place: &str, strict: bool, quiet: bool
     if strict {
         bail!("{place}: holds what would not come back: {what}; move it away, or encode without --strict");
     }
-    if !quiet {
-        eprintln!("lidarpc: {place}: left out {what}");
-    }
+    console.say(format_args!("lidarpc: {place}: left out {what}"));
     Ok(())
 }
 

@@ -11,6 +11,7 @@ use anyhow::Result;
 use serde::Serialize;
 
 use super::args::InfoArgs;
+use super::console::Console;
 use super::errors::about;
 use super::input::{for_each_file, is_recording, name_of, open};
 use super::output::print_json;
@@ -90,7 +91,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     let read = for_each_file("info", &args.inputs, |path| {
         let (info, damage) = match is_recording(path) {
             true => {
-                let listing = recording::examine(path, false, 1, true)?;
+                let listing = recording::examine(path, false, 1, Console::SILENT)?;
                 let damage = listing.check().err();
                 (Listed::Recording(listing), damage)
             }

@@ -13,6 +13,7 @@ use crate::ground::error::{Error, Limits, Result};
 use crate::stream::{self, DecodeOptions, DecodedFrame, FrameRange};
 
 use super::args::wrong_usage;
+use super::console::Console;
 use super::errors::{about, is_closed_pipe, say};
 use super::table;
 use super::time_range::TimeRange;
@@ -93,10 +94,12 @@ impl Input {
 }
 
 /// Says that files beside the scans are left out because only some frames are wanted.
-pub fn tell_files_left_out(path: &Path, files: u64, quiet: bool) {
-    if files > 0 && !quiet {
+pub fn tell_files_left_out(path: &Path, files: u64, console: Console) {
+    if files > 0 {
         let (name, files) = (name_of(path), table::count(files, "file"));
-        eprintln!("lidarpc: {name}: left out {files} beside the scans, which only a whole stream gives");
+        console.say(format_args!(
+            "lidarpc: {name}: left out {files} beside the scans, which only a whole stream gives"
+        ));
     }
 }
 
@@ -214,7 +217,7 @@ pub fn chosen_frames(
     path: &Path,
     (frames, time): (Option<FrameRange>, Option<TimeRange>),
     limits: Limits,
-    quiet: bool,
+    console: Console,
 ) -> anyhow::Result<FrameRange> {
     let Some(time) = time else { return Ok(frames.unwrap_or_default()) };
     let Input::File(file) = open(path)? else {
@@ -223,9 +226,11 @@ pub fn chosen_frames(
     let reader = IndexedReader::open(BufReader::new(file), limits);
     let found = reader.and_then(|reader| time.frames(reader.index()));
     let (range, untimed) = found.map_err(|error| about(error, &name_of(path)))?;
-    if untimed > 0 && !quiet {
-        let frames = table::count(untimed, "frame");
-        eprintln!("lidarpc: {}: left out {frames} without a time; --frames chooses by number", name_of(path));
+    if untimed > 0 {
+        let (name, frames) = (name_of(path), table::count(untimed, "frame"));
+        console.say(format_args!(
+            "lidarpc: {name}: left out {frames} without a time; --frames chooses by number"
+        ));
     }
     Ok(range)
 }

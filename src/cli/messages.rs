@@ -17,6 +17,7 @@ use anyhow::Result;
 use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, check_usage, wrong_usage};
+use super::console::Console;
 use super::conversion::{Converter, File};
 use super::errors::about;
 use super::frames;
@@ -39,7 +40,7 @@ struct Report {
 }
 
 /// `encode - --messages`: each frame is written before the next is read.
-pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
+pub fn encode(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> Result<()> {
     let is_stdin = args.inputs.iter().all(|input| is_dash(input));
     check_usage(
         "encode",
@@ -69,13 +70,13 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     });
     drop(writer);
     encoded.map_err(|error| about(error, &name_of_output(args.output())))?;
-    frames::check_left_out(arriving.left_out(), "stdin", args.strict, quiet)?;
+    frames::check_left_out(arriving.left_out(), "stdin", args.strict, console)?;
     output.finish().map_err(|error| about(error, &name_of_output(args.output())))?;
-    sizes.report(args.json, quiet, name_of_output(args.output()), Some(config), start)
+    sizes.report(args.json, console, name_of_output(args.output()), Some(config), start)
 }
 
 /// `decode --messages`: into a folder, or to stdout in the format of the input.
-pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
+pub fn decode(args: &DecodeArgs, console: Console) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("decode", "--messages takes one input");
     };
@@ -119,8 +120,8 @@ pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
     if let Some(folder) = folder {
         folder.finish()?;
     }
-    converter.tell_unconverted(quiet);
-    sizes.report(args.json, quiet, name_of(args.output()), None, start)
+    converter.tell_unconverted(console);
+    sizes.report(args.json, console, name_of(args.output()), None, start)
 }
 
 /// Writes a message after its line, and flushes it.
@@ -143,7 +144,7 @@ impl Sizes {
     fn report(
         &self,
         json: bool,
-        quiet: bool,
+        console: Console,
         file: String,
         config: Option<&EncoderConfig>,
         start: Instant,
@@ -154,19 +155,17 @@ impl Sizes {
             let fidelity = config.map(FidelityReport::of);
             return print_json(&Report { file, fidelity, messages, file_bytes, stream_bytes, seconds });
         }
-        if !quiet {
-            eprintln!(
-                "{}: files of {}, streams of {} ({}){} in {seconds:.1} s",
-                table::count(messages, "message"),
-                table::bytes(file_bytes),
-                table::bytes(stream_bytes),
-                table::percent(metrics::ratio(file_bytes, stream_bytes)),
-                match config {
-                    Some(config) => format!(", {}", fidelity(config, None)),
-                    None => String::new(),
-                },
-            );
-        }
+        console.say(format_args!(
+            "{}: files of {}, streams of {} ({}){} in {seconds:.1} s",
+            table::count(messages, "message"),
+            table::bytes(file_bytes),
+            table::bytes(stream_bytes),
+            table::percent(metrics::ratio(file_bytes, stream_bytes)),
+            match config {
+                Some(config) => format!(", {}", fidelity(config, None)),
+                None => String::new(),
+            },
+        ));
         Ok(())
     }
 }

@@ -5,6 +5,7 @@ mod bench;
 mod cat;
 mod cleanup;
 mod coding;
+mod console;
 mod conversion;
 mod cut;
 mod decode;
@@ -21,7 +22,6 @@ mod manual;
 mod messages;
 mod output;
 mod partial;
-mod progress;
 mod record_length;
 mod recording;
 mod repair;
@@ -40,6 +40,7 @@ use std::process::ExitCode;
 
 use args::{Args, Command};
 use clap::Parser;
+use console::Console;
 
 /// The whole program: arguments in, exit code out.
 pub fn main() -> ExitCode {
@@ -99,19 +100,20 @@ fn keep_memory() {}
 /// All errors; [`errors::report`] prints them and chooses the exit code.
 fn run(args: &Args) -> anyhow::Result<()> {
     cleanup::on_signals();
+    let console = Console { is_quiet: args.quiet };
     match &args.command {
-        Command::Encode(command) => dispatch::encode(command, args.quiet),
-        Command::Decode(command) => dispatch::decode(command, args.quiet),
-        Command::Stats(command) => stats::run(command, args.quiet),
+        Command::Encode(command) => dispatch::encode(command, console),
+        Command::Decode(command) => dispatch::decode(command, console),
+        Command::Stats(command) => stats::run(command, console),
         Command::Info(command) => info::run(command),
-        Command::Verify(command) => verify::run(command, args.quiet),
-        Command::Cut(command) => cut::run(command, args.quiet),
-        Command::Cat(command) => cat::run(command, args.quiet),
-        Command::Repair(command) => repair::run(command, args.quiet),
-        Command::View(command) => view::run(command, args.quiet),
-        Command::Bench(command) => bench::run(command, args.quiet),
-        Command::Synth(command) => synth::run(command, args.quiet),
-        Command::Estimate(command) => estimate::run(command, args.quiet),
+        Command::Verify(command) => verify::run(command, console),
+        Command::Cut(command) => cut::run(command, console),
+        Command::Cat(command) => cat::run(command, console),
+        Command::Repair(command) => repair::run(command, console),
+        Command::View(command) => view::run(command, console),
+        Command::Bench(command) => bench::run(command, console),
+        Command::Synth(command) => synth::run(command, console),
+        Command::Estimate(command) => estimate::run(command, console),
         Command::Completions(command) => manual::completions(command),
         Command::Man(command) => manual::man(command),
     }

@@ -18,11 +18,12 @@ use anyhow::{Result, bail, ensure};
 use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, FormatArg, StatsArgs, check_usage, wrong_usage};
+use super::console::Console;
 use super::errors::{NotWhole, about};
 use super::input::{is_dash, is_named_as_recording};
 use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
 use super::report::{FidelityReport, fidelity};
-use super::{progress, table};
+use super::table;
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -76,11 +77,11 @@ impl Report {
     }
 
     /// Prints the report as JSON, or as this line.
-    fn print(&self, json: bool, quiet: bool, line: impl FnOnce(&Self) -> String) -> Result<()> {
+    fn print(&self, json: bool, console: Console, line: impl FnOnce(&Self) -> String) -> Result<()> {
         if json {
             print_json(self)?;
-        } else if !quiet {
-            eprintln!("{}", line(self));
+        } else {
+            console.say(line(self));
         }
         Ok(())
     }
@@ -140,7 +141,7 @@ impl Report {
 }
 
 /// `encode` for a recording: to one with compressed clouds, or to a stream of the clouds alone.
-pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
+pub fn encode(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("encode", "recordings are encoded one by one");
     };
@@ -158,13 +159,13 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
     );
     keep_inputs(args.output(), &args.inputs)?;
     match is_named_as_recording(args.output()) {
-        true => pack(args, input, config, quiet),
-        false => encode_clouds(args, input, config, quiet),
+        true => pack(args, input, config, console),
+        false => encode_clouds(args, input, config, console),
     }
 }
 
 /// Copies a recording and compresses its clouds.
-fn pack(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet: bool) -> Result<()> {
+fn pack(args: &EncodeArgs, input: &Path, config: &EncoderConfig, console: Console) -> Result<()> {
     check_usage(
         "encode",
         [
@@ -183,7 +184,7 @@ fn pack(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet: bool) ->
         ],
     );
     let start = Instant::now();
-    let bar = progress::bar(None, "packing", quiet);
+    let bar = console.bar(None, "packing");
     let filter = TopicFilter { topics: args.topic.clone() };
     let (copied, output) = copy(input, args.output(), args.force, |out| {
         recordings::pack(open(input)?, out, &Settings::of_config(config.clone()), &filter, &|| bar.inc(1))
@@ -198,18 +199,18 @@ fn pack(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet: bool) ->
     }
     output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
     let report = Report::of(args.output(), &copied, 0, Some((config, args.verify)), start);
-    report.print(args.json, quiet, |report| report.summary(Some(config)))?;
+    report.print(args.json, console, |report| report.summary(Some(config)))?;
     check_whole(input, copied.damage.as_deref())
 }
 
 /// Encodes the clouds alone, as frames of a stream with their times.
-fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet: bool) -> Result<()> {
+fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, console: Console) -> Result<()> {
     if args.verify {
         wrong_usage("encode", "--verify compares a recording with a recording; give -o FILE.mcap");
     }
     let name = args.output().display().to_string();
     let start = Instant::now();
-    let bar = progress::bar(None, "encoding", quiet);
+    let bar = console.bar(None, "encoding");
     let mut output = FileOutput::binary(args.output(), args.force)?;
     let filter = TopicFilter { topics: args.topic.clone() };
     let mut clouds =
@@ -245,12 +246,12 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, quiet:
     ensure!(copied.clouds > 0, "{}: holds no cloud that can be encoded{because}", input.display());
     output.finish().map_err(|error| about(error, &name))?;
     let report = Report::of(args.output(), &copied, left_out, Some((config, false)), start);
-    report.print(args.json, quiet, |report| report.summary_of_clouds(&fidelity(config, Some(&encoded))))?;
+    report.print(args.json, console, |report| report.summary_of_clouds(&fidelity(config, Some(&encoded))))?;
     check_whole(input, damage)
 }
 
 /// `decode` for a recording: to one with the original clouds, or to a folder of scans.
-pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
+pub fn decode(args: &DecodeArgs, console: Console) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("decode", "recordings are decoded one by one");
     };
@@ -259,18 +260,18 @@ pub fn decode(args: &DecodeArgs, quiet: bool) -> Result<()> {
     }
     let start = Instant::now();
     let (copied, left_out) = match is_named_as_recording(args.output()) {
-        true => (unpack(args, input, quiet)?, 0),
-        false => decode_clouds(args, input, quiet)?,
+        true => (unpack(args, input, console)?, 0),
+        false => decode_clouds(args, input, console)?,
     };
     let report = Report::of(args.output(), &copied, left_out, None, start);
-    report.print(args.json, quiet, |report| report.summary(None))?;
+    report.print(args.json, console, |report| report.summary(None))?;
     check_whole(input, copied.damage.as_deref())
 }
 
 /// Copies a recording and decodes its clouds.
-fn unpack(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<CopySummary> {
+fn unpack(args: &DecodeArgs, input: &Path, console: Console) -> Result<CopySummary> {
     keep_inputs(args.output(), &args.inputs)?;
-    let bar = progress::bar(None, "unpacking", quiet);
+    let bar = console.bar(None, "unpacking");
     let (copied, output) = copy(input, args.output(), args.force, |out| {
         recordings::unpack(open(input)?, out, args.threads.threads, &|| bar.inc(1))
     })?;
@@ -280,7 +281,7 @@ fn unpack(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<CopySummary> {
 }
 
 /// Decodes the clouds to files in a folder. Returns also the number of messages that were left out.
-fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<(CopySummary, u64)> {
+fn decode_clouds(args: &DecodeArgs, input: &Path, console: Console) -> Result<(CopySummary, u64)> {
     if is_dash(args.output()) {
         wrong_usage("decode", "a recording is decoded into a folder, or to FILE.mcap");
     }
@@ -289,7 +290,7 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, quiet: bool) -> Result<(CopySu
     let filter = TopicFilter { topics: args.topic.clone() };
     let mut clouds = open(input).and_then(|file| Clouds::open(file, &filter)).map_err(at)?;
     let folder = FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs);
-    let bar = progress::bar(None, "decoding", quiet);
+    let bar = console.bar(None, "decoding");
     let mut copied = CopySummary::default();
     for (number, cloud) in clouds.by_ref().enumerate() {
         let (mut scan, _) = cloud.into_parts();
@@ -339,11 +340,11 @@ struct TopicListing {
 }
 
 /// Lists the contents of a recording; if `decodes`, every compressed cloud is decoded.
-pub fn examine(path: &Path, decodes: bool, threads: usize, quiet: bool) -> Result<Listing> {
+pub fn examine(path: &Path, decodes: bool, threads: usize, console: Console) -> Result<Listing> {
     let at = |error| about(error, &path.display().to_string());
     let file = open(path).map_err(at)?;
     let file_bytes = file.get_ref().metadata().map_err(|error| at(error.into()))?.len();
-    let bar = progress::bar(None, "reading", quiet);
+    let bar = console.bar(None, "reading");
     let contents = recordings::examine(file, decodes, threads, &|| bar.inc(1));
     bar.finish_and_clear();
     let Contents { topics, attachments, damage } = contents.map_err(at)?;
@@ -409,8 +410,8 @@ pub fn print(listing: &Listing, out: &mut impl Write) -> std::io::Result<()> {
 }
 
 /// `stats` for a recording: the savings by its compressed clouds.
-pub fn stats(args: &StatsArgs, quiet: bool) -> Result<()> {
-    let listing = examine(&args.input, true, args.threads.threads, quiet)?;
+pub fn stats(args: &StatsArgs, console: Console) -> Result<()> {
+    let listing = examine(&args.input, true, args.threads.threads, console)?;
     if args.json {
         print_json(&listing)?;
         return listing.check();

@@ -9,6 +9,7 @@ use anyhow::Result;
 use serde::Serialize;
 
 use super::args::RepairArgs;
+use super::console::Console;
 use super::errors::about;
 use super::input::{name_of, open, refuse_recordings};
 use super::losses::{LossReport, Losses};
@@ -24,7 +25,7 @@ struct Report {
     lost: Vec<LossReport>,
 }
 
-pub fn run(args: &RepairArgs, quiet: bool) -> Result<()> {
+pub fn run(args: &RepairArgs, console: Console) -> Result<()> {
     check_json("repair", args.json, &args.output);
     let input = std::slice::from_ref(&args.input);
     refuse_recordings("repair", input, "`encode` and `decode` take all of it that can be read");
@@ -42,8 +43,8 @@ pub fn run(args: &RepairArgs, quiet: bool) -> Result<()> {
     if args.json {
         let lost = losses.report().into_iter().collect();
         print_json(&Report { file: name, frames, lost })?;
-    } else if !quiet {
-        eprintln!("{} copied", table::count(frames, "frame"));
+    } else {
+        console.say(format_args!("{} copied", table::count(frames, "frame")));
     }
     losses.check(frames)
 }

@@ -16,6 +16,7 @@ use anyhow::Result;
 use serde::Serialize;
 
 use super::args::{StatsArgs, wrong_usage};
+use super::console::Console;
 use super::errors::about;
 use super::input::{Input, Originals, is_recording, name_of, open};
 use super::output::print_json;
@@ -59,21 +60,21 @@ struct Part {
     bits_per_point: Option<f64>,
 }
 
-pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
+pub fn run(args: &StatsArgs, console: Console) -> Result<()> {
     if args.steps {
-        return steps::run(args, quiet);
+        return steps::run(args, console);
     }
     if let Some(output) = &args.poses {
-        return poses::run(args, output, quiet);
+        return poses::run(args, output, console);
     }
     if is_recording(&args.input) {
         if !args.against.is_empty() {
             wrong_usage("stats", "--against compares scans; a recording is compared by `encode --verify`");
         }
-        return recording::stats(args, quiet);
+        return recording::stats(args, console);
     }
     let input = open(&args.input)?;
-    let stats = read(args, input, quiet).map_err(|error| about(error, &name_of(&args.input)))?;
+    let stats = read(args, input, console).map_err(|error| about(error, &name_of(&args.input)))?;
     if args.json {
         return print_json(&stats);
     }
@@ -83,7 +84,7 @@ pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
     Ok(())
 }
 
-fn read(args: &StatsArgs, input: Input, quiet: bool) -> crate::ground::error::Result<Stats> {
+fn read(args: &StatsArgs, input: Input, console: Console) -> crate::ground::error::Result<Stats> {
     if args.against.is_empty() {
         return measure(input.reader(), args.limits.limits());
     }
@@ -91,7 +92,7 @@ fn read(args: &StatsArgs, input: Input, quiet: bool) -> crate::ground::error::Re
     let mut file = input.rewindable()?;
     let mut stats = measure(BufReader::new(&file), args.limits.limits())?;
     file.rewind()?;
-    stats.against = Some(compare(args, &file, originals, stats.frames, quiet)?);
+    stats.against = Some(compare(args, &file, originals, stats.frames, console)?);
     Ok(stats)
 }
 

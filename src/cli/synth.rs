@@ -4,17 +4,18 @@ use crate::study::synth::{SynthConfig, SynthScanner, drive};
 use anyhow::Result;
 
 use super::args::{SimulatedScanner, SynthArgs};
+use super::console::Console;
 use super::output::FolderOutput;
-use super::{progress, table};
+use super::table;
 
-pub fn run(args: &SynthArgs, quiet: bool) -> Result<()> {
+pub fn run(args: &SynthArgs, console: Console) -> Result<()> {
     let folder = FolderOutput::create(&args.output, args.force)?;
     let scanner = match args.scanner {
         SimulatedScanner::Hdl64 => SynthScanner::Hdl64,
         SimulatedScanner::Vlp16 => SynthScanner::Vlp16,
     };
     let config = SynthConfig { scanner, frames: args.frames, seed: args.seed, ..SynthConfig::default() };
-    let bar = progress::bar(Some(args.frames as u64), "driving", quiet);
+    let bar = console.bar(Some(args.frames as u64), "driving");
     let mut points = 0;
     for frame in drive(&config) {
         points += frame.points.len() as u64;
@@ -23,8 +24,7 @@ pub fn run(args: &SynthArgs, quiet: bool) -> Result<()> {
     }
     bar.finish_and_clear();
     folder.finish()?;
-    if !quiet {
-        eprintln!("{}, {}", table::count(args.frames as u64, "frame"), table::count(points, "point"));
-    }
+    let frames = table::count(args.frames as u64, "frame");
+    console.say(format_args!("{frames}, {}", table::count(points, "point")));
     Ok(())
 }

@@ -19,13 +19,14 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, wrong_usage};
+use super::console::Console;
 use super::encoding::{Done, encode_found};
 use super::errors::{NotWhole, say};
 use super::frames::{self, InputFiles};
 use super::input::is_pipe;
 use super::output::{create_folders, parent, print_json};
 use super::report::{LeftOutReport, StreamReport, summary};
-use super::{progress, table};
+use super::table;
 
 /// Whether an output is a folder: it is one, or its name ends in a slash.
 pub fn is_folder(output: &Path) -> bool {
@@ -47,19 +48,15 @@ struct TreeReport<'a> {
 }
 
 /// `encode` into a folder: a stream for each drive.
-pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<()> {
+pub fn encode(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> Result<()> {
     let start = Instant::now();
-    let (drives, left_out) = drives(args, quiet)?;
+    let (drives, left_out) = drives(args, console)?;
     let threads = resolve_threads(config.threads);
     let jobs = args.jobs.map_or(if drives.len() >= threads { threads } else { 1 }, usize::from);
     let each = EncoderConfig { threads: (threads / jobs).max(1), ..config.clone() };
     let frames = drives.iter().map(|drive| drive.found.frames.len() as u64).sum();
-    let bar = progress::bar(
-        Some(frames),
-        format!("encoding {}", table::count(drives.len() as u64, "drive")),
-        quiet,
-    );
-    let reports = encode_each(args, &each, &drives, jobs, &bar, quiet);
+    let bar = console.bar(Some(frames), format!("encoding {}", table::count(drives.len() as u64, "drive")));
+    let reports = encode_each(args, &each, &drives, jobs, &bar, console);
     bar.finish_and_clear();
     let failed = reports.iter().filter(|report| report.is_err()).count();
     let (complete, done): (Vec<DriveReport>, Vec<DriveReport>) =
@@ -69,7 +66,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, quiet: bool) -> Result<
             drives: done.iter().map(|report| &report.stream).collect(),
             left_out: LeftOutReport::of(&left_out),
         })?;
-    } else if !quiet {
+    } else if !console.is_quiet {
         print(&done, complete.len(), args.verbose, start);
     }
     ensure!(failed == 0, "{failed} of {} failed", table::count(drives.len() as u64, "drive"));
@@ -84,14 +81,14 @@ fn encode_each(
     drives: &[Drive],
     jobs: usize,
     bar: &ProgressBar,
-    quiet: bool,
+    console: Console,
 ) -> Vec<Result<DriveReport>> {
     let (next, reports) = (AtomicUsize::new(0), Mutex::new(BTreeMap::new()));
     std::thread::scope(|scope| {
         for _ in 0..jobs.min(drives.len()) {
             scope.spawn(|| {
                 while let Some(drive) = drives.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let report = encode_drive(args, config, drive, quiet);
+                    let report = encode_drive(args, config, drive, console);
                     if let Err(error) = &report {
                         bar.suspend(|| say(error));
                     }
@@ -137,7 +134,7 @@ fn print(done: &[DriveReport], complete: usize, is_verbose: bool, start: Instant
 
 /// The drives of the inputs, and what is left out of these. As the same names may occur in several inputs,
 /// folders are searched one by one, and files are grouped by their folders.
-fn drives(args: &EncodeArgs, quiet: bool) -> Result<(Vec<Drive>, LeftOut)> {
+fn drives(args: &EncodeArgs, console: Console) -> Result<(Vec<Drive>, LeftOut)> {
     let mut inputs: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
     for input in &args.inputs {
         let folder = if input.is_dir() { input.as_path() } else { parent(input) };
@@ -152,9 +149,9 @@ fn drives(args: &EncodeArgs, quiet: bool) -> Result<(Vec<Drive>, LeftOut)> {
         let whole = fs::canonicalize(folder).with_context(|| folder.display().to_string())?;
         let own_name = PathBuf::from(whole.file_name().unwrap_or_default());
         let args = EncodeArgs { inputs: inputs.clone(), ..args.clone() };
-        let mut found = frames::find(&args, quiet)?;
+        let mut found = frames::find(&args, console)?;
         left_out.extend(std::mem::take(&mut found.left_out));
-        for (drive, found) in drives_of(&args, found, &mut left_out, quiet)? {
+        for (drive, found) in drives_of(&args, found, &mut left_out, console)? {
             let below = match (drive.is_empty(), several) {
                 (true, _) => own_name.clone(),
                 (false, false) => PathBuf::from(drive),
@@ -179,7 +176,7 @@ fn drives_of(
     args: &EncodeArgs,
     found: InputFiles,
     left_out: &mut LeftOut,
-    quiet: bool,
+    console: Console,
 ) -> Result<BTreeMap<String, InputFiles>> {
     let mut drives: BTreeMap<String, InputFiles> = BTreeMap::new();
     let mut beyond = LeftOut::default();
@@ -200,7 +197,7 @@ fn drives_of(
             }
         }
     }
-    frames::check_left_out(&beyond, &frames::name_of_inputs(&args.inputs), args.strict, quiet)?;
+    frames::check_left_out(&beyond, &frames::name_of_inputs(&args.inputs), args.strict, console)?;
     left_out.extend(beyond);
     Ok(drives)
 }
@@ -216,7 +213,7 @@ fn encode_drive(
     args: &EncodeArgs,
     config: &EncoderConfig,
     drive: &Drive,
-    quiet: bool,
+    console: Console,
 ) -> Result<DriveReport> {
     let start = Instant::now();
     let args = &EncodeArgs { output: Some(drive.output.clone()), ..args.clone() };
@@ -225,8 +222,8 @@ fn encode_drive(
         create_folders(folder)?;
     }
     let mut config = config.clone();
-    frames::settle(&drive.found.frames, &mut config, &place, quiet)?;
-    let Done { encoded, was_complete, .. } = encode_found(args, &config, &drive.found, true)?;
+    frames::settle(&drive.found.frames, &mut config, &place, console)?;
+    let Done { encoded, was_complete, .. } = encode_found(args, &config, &drive.found, Console::SILENT)?;
     if args.rm {
         drive.found.delete(&args.inputs)?;
     }

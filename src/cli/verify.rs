@@ -12,10 +12,11 @@ use anyhow::{Result, bail};
 use serde::Serialize;
 
 use super::args::{VerifyArgs, wrong_usage};
+use super::console::Console;
 use super::errors::{about, line};
 use super::input::{Originals, for_each_file, is_recording, name_of, open};
 use super::output::print_json;
-use super::{progress, recording, table};
+use super::{recording, table};
 
 /// The machine-readable report.
 #[derive(Default, Serialize)]
@@ -55,7 +56,7 @@ impl Report {
     }
 }
 
-pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
+pub fn run(args: &VerifyArgs, console: Console) -> Result<()> {
     if !args.against.is_empty() && args.inputs.iter().any(|input| is_recording(input)) {
         wrong_usage("verify", "--against compares scans; a recording is compared by `encode --verify`");
     }
@@ -70,10 +71,10 @@ pub fn run(args: &VerifyArgs, quiet: bool) -> Result<()> {
     let verified = for_each_file("verify", &args.inputs, |input| {
         let compared = originals.is_some();
         let mut report = Report { file: name_of(input), compared, deep: args.deep, ..Report::default() };
-        let verified = verify(args, input, originals.as_mut(), &mut report, quiet);
+        let verified = verify(args, input, originals.as_mut(), &mut report, console);
         report.whole = verified.is_ok();
         report.error = verified.as_ref().err().map(line);
-        if !quiet && !args.json && report.whole {
+        if !console.is_quiet && !args.json && report.whole {
             writeln!(io::stdout(), "{}", report.summary())?;
         }
         reports.push(report);
@@ -99,10 +100,10 @@ fn verify(
     path: &Path,
     mut originals: Option<&mut Originals>,
     report: &mut Report,
-    quiet: bool,
+    console: Console,
 ) -> Result<()> {
     if is_recording(path) {
-        let found = recording::examine(path, true, args.threads.threads, quiet)?;
+        let found = recording::examine(path, true, args.threads.threads, console)?;
         (report.frames, report.file_bytes) = (found.clouds(), found.cloud_bytes());
         report.messages = Some(found.messages());
         return found.check();
@@ -113,7 +114,7 @@ fn verify(
         limits: args.limits.limits(),
         ..DecodeOptions::default()
     };
-    let bar = progress::bar(input.frame_count(options.limits), "verifying", quiet);
+    let bar = console.bar(input.frame_count(options.limits), "verifying");
     // Compared on the thread that decoded the frame, so that no frame waits in memory for those before it.
     let compared = originals.as_mut().map(Mutex::new);
     let check = |frame: DecodedFrame| {

@@ -17,18 +17,18 @@ use crate::study::picture::{self, BirdsEye, Perspective, Picture};
 use anyhow::{Context, Result, ensure};
 
 use super::args::{PictureKind, ViewArgs, encoder_config, wrong_usage};
+use super::console::Console;
 use super::encoding::encode_in_memory;
 use super::errors::about;
 use super::input::{Originals, is_stream, name_of, open, refuse_recordings};
 use super::output::{FileOutput, about_output, keep_inputs};
-use super::progress;
 use pictures::{PICTURES, Pictures};
 
-pub fn run(args: &ViewArgs, quiet: bool) -> Result<()> {
+pub fn run(args: &ViewArgs, console: Console) -> Result<()> {
     let input = std::slice::from_ref(&args.input);
     refuse_recordings("view", input, "encode its clouds to FILE.lpc, and view that");
     match (&args.html, &args.output) {
-        (Some(page), _) => write_page(args, page, quiet),
+        (Some(page), _) => write_page(args, page, console),
         (None, Some(picture)) => write_picture(args, picture),
         (None, None) => wrong_usage("view", "-o names the picture to write, --html the page"),
     }
@@ -52,24 +52,24 @@ fn write_picture(args: &ViewArgs, path: &Path) -> Result<()> {
 }
 
 /// Writes the frames as a page.
-fn write_page(args: &ViewArgs, path: &Path, quiet: bool) -> Result<()> {
+fn write_page(args: &ViewArgs, path: &Path, console: Console) -> Result<()> {
     keep_inputs(path, std::slice::from_ref(&args.input))?;
     let name = name_of(&args.input);
     if is_stream(&args.input) {
         let stream = open(&args.input)?.rewindable().map_err(|error| about(error, &name))?;
-        return page_of(args, path, (stream, &name), quiet);
+        return page_of(args, path, (stream, &name), console);
     }
     let config = encoder_config("view", &args.coding, 0);
     let frames = FrameInput::found(find_frames(std::slice::from_ref(&args.input))?.frames);
-    let (_, stream) = encode_in_memory(&frames, &config, quiet)?;
-    page_of(args, path, (Cursor::new(stream), &name), quiet)
+    let (_, stream) = encode_in_memory(&frames, &config, console)?;
+    page_of(args, path, (Cursor::new(stream), &name), console)
 }
 
 fn page_of<R: Read + Seek + Send>(
     args: &ViewArgs,
     path: &Path,
     (mut stream, name): (R, &str),
-    quiet: bool,
+    console: Console,
 ) -> Result<()> {
     let bytes = stream.seek(SeekFrom::End(0))?;
     let decoder = Decoder::open(stream).map_err(|error| about(error, name))?;
@@ -78,7 +78,7 @@ fn page_of<R: Read + Seek + Send>(
     frames.check(decoder.len()).map_err(|error| about(error, name))?;
     let numbers = frames.start..frames.end.unwrap_or(decoder.len());
     let mut output = FileOutput::create(path, args.force)?;
-    let bar = progress::bar(Some(numbers.end - numbers.start), "decoding", quiet);
+    let bar = console.bar(Some(numbers.end - numbers.start), "decoding");
     let mut writer = output.writer();
     let written = page::write(&mut decoder, (name, bytes), numbers, &mut writer, || bar.inc(1));
     bar.finish_and_clear();
@@ -107,7 +107,7 @@ fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<Compared> {
         only(args.frame).check(frames.len() as u64).map_err(|error| about(error, &name))?;
         let frame =
             FrameInput::found(frames).into_iter().nth(args.frame as usize).map(|frame| frame.of_drive(0));
-        let (_, stream) = encode_in_memory(frame.as_slice(), config, true)?;
+        let (_, stream) = encode_in_memory(frame.as_slice(), config, Console::SILENT)?;
         (decode_one(Cursor::new(stream), only(0)), frame.map(|frame| frame.read()).transpose()?)
     };
     let frame = frame.map_err(|error| about(error, &name))?;

@@ -8,8 +8,9 @@ use crate::study::metrics::{GeometryPsnr, NearestErrors, NearestPairs, PEAK_M, P
 use serde::Serialize;
 
 use crate::cli::args::StatsArgs;
+use crate::cli::console::Console;
 use crate::cli::input::Originals;
-use crate::cli::{progress, table};
+use crate::cli::table;
 
 /// The comparison with the originals.
 #[derive(Default, Serialize)]
@@ -51,14 +52,14 @@ pub fn compare(
     input: impl Read + Send,
     mut originals: Originals,
     frames: u64,
-    quiet: bool,
+    console: Console,
 ) -> crate::ground::error::Result<Against> {
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
         ..DecodeOptions::default()
     };
-    let bar = progress::bar(Some(frames), "comparing", quiet);
+    let bar = console.bar(Some(frames), "comparing");
     let mut comparison = Comparison { psnr: args.psnr.then(GeometryPsnr::default), ..Comparison::default() };
     let compared = stream::decode(BufReader::new(input), &options, Ok, |frame| {
         bar.inc(1);

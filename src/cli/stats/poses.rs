@@ -10,12 +10,12 @@ use crate::stream::{self, DecodeOptions, DecodedFrame};
 use anyhow::Result;
 
 use crate::cli::args::StatsArgs;
+use crate::cli::console::Console;
 use crate::cli::errors::about;
 use crate::cli::input::{name_of, open};
 use crate::cli::output::{FileOutput, about_output, keep_inputs, name_of_output};
-use crate::cli::progress;
 
-pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {
+pub fn run(args: &StatsArgs, path: &Path, console: Console) -> Result<()> {
     keep_inputs(path, std::slice::from_ref(&args.input))?;
     let mut output = FileOutput::create(path, args.force)?;
     let input = open(&args.input)?;
@@ -25,7 +25,7 @@ pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {
         images: true,
         ..DecodeOptions::default()
     };
-    let bar = progress::bar(input.frame_count(options.limits), "decoding", quiet);
+    let bar = console.bar(input.frame_count(options.limits), "decoding");
     let mut way = Way::default();
     let mut poses = Vec::new();
     let decoded = stream::decode(input.reader(), &options, DecodedFrame::checked, |frame| {
@@ -42,8 +42,11 @@ pub fn run(args: &StatsArgs, path: &Path, quiet: bool) -> Result<()> {
     written.map_err(|error| about_output(error.into(), path))?;
     output.finish().map_err(|error| about(error, &name_of_output(path)))?;
     let lost = way.lost;
-    if lost > 0 && !quiet {
-        eprintln!("{lost} of {} frames could not be registered; they go on as the one before", poses.len());
+    if lost > 0 {
+        let frames = poses.len();
+        console.say(format_args!(
+            "{lost} of {frames} frames could not be registered; they go on as the one before"
+        ));
     }
     Ok(())
 }

@@ -10,11 +10,12 @@ use anyhow::Result;
 use serde::Serialize;
 
 use crate::cli::args::{StatsArgs, encoder_config};
+use crate::cli::console::Console;
 use crate::cli::encoding::encode_in_memory;
 use crate::cli::errors::about;
 use crate::cli::input::{is_stream, name_of, open};
 use crate::cli::output::print_json;
-use crate::cli::{progress, table};
+use crate::cli::table;
 
 /// The complete report; all values are means over frames.
 #[derive(Serialize)]
@@ -51,17 +52,17 @@ struct Times {
 }
 
 /// Reports on a stream, or on scans, which are then encoded in memory with the given options.
-pub fn run(args: &StatsArgs, quiet: bool) -> Result<()> {
+pub fn run(args: &StatsArgs, console: Console) -> Result<()> {
     let (encoding, decoding, range_step) = if is_stream(&args.input) {
         let input = open(&args.input)?.reader();
-        let decoded = decode(input, args, quiet).map_err(|error| about(error, &name_of(&args.input)))?;
+        let decoded = decode(input, args, console).map_err(|error| about(error, &name_of(&args.input)))?;
         (None, decoded, None)
     } else {
         let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
         let frames = FrameInput::found(frames);
         let config = encoder_config("stats", &args.coding, args.threads.threads);
-        let (encoding, stream) = encode_in_memory(&frames, &config, quiet)?;
-        (Some(encoding), decode(&stream[..], args, quiet)?, range_step(&config))
+        let (encoding, stream) = encode_in_memory(&frames, &config, console)?;
+        (Some(encoding), decode(&stream[..], args, console)?, range_step(&config))
     };
     let steps = Steps {
         frames: decoding.frames,
@@ -93,14 +94,14 @@ fn range_step(config: &EncoderConfig) -> Option<String> {
 fn decode(
     input: impl Read + Send,
     args: &StatsArgs,
-    quiet: bool,
+    console: Console,
 ) -> crate::ground::error::Result<StageReport> {
     let options = DecodeOptions {
         threads: args.threads.threads,
         limits: args.limits.limits(),
         ..DecodeOptions::default()
     };
-    let bar = progress::bar(None, "decoding", quiet);
+    let bar = console.bar(None, "decoding");
     let mut stages = StageReport::default();
     let decoded = stream::decode(BufReader::new(input), &options, DecodedFrame::checked, |frame| {
         bar.inc(1);

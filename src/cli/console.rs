@@ -1,29 +1,45 @@
-//! A progress bar on stderr, on a terminal only.
+//! What commands tell on stderr, apart from errors.
 
 use std::borrow::Cow;
-
-use std::fmt::Write;
+use std::fmt::{Display, Write};
 
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 
-/// A progress bar over frames; invisible if `quiet`, or if stderr is not a terminal. Without a `total` it
-/// only counts.
-pub fn bar(total: Option<u64>, what: impl Into<Cow<'static, str>>, quiet: bool) -> ProgressBar {
-    if quiet {
-        return ProgressBar::hidden();
+/// Progress and remarks on stderr, unless `--quiet` forbids them.
+#[derive(Clone, Copy)]
+pub struct Console {
+    pub is_quiet: bool,
+}
+
+impl Console {
+    /// Tells nothing: what is done is a part of something else.
+    pub const SILENT: Console = Console { is_quiet: true };
+
+    /// Tells a line.
+    pub fn say(self, line: impl Display) {
+        if !self.is_quiet {
+            eprintln!("{line}");
+        }
     }
+
+    /// A progress bar over frames, on a terminal only. Without a `total` it only counts.
+    pub fn bar(self, total: Option<u64>, what: impl Into<Cow<'static, str>>) -> ProgressBar {
+        if self.is_quiet { ProgressBar::hidden() } else { visible(total).with_message(what) }
+    }
+}
+
+fn visible(total: Option<u64>) -> ProgressBar {
     let (bar, template) = match total {
         Some(total) => (ProgressBar::new(total), "{msg} {wide_bar} {pos}/{len} frames, {speed}, {eta} left"),
         None => (ProgressBar::new_spinner(), "{msg} {pos} frames, {speed}"),
     };
     // If a template does not parse, only the appearance suffers.
-    let bar = match ProgressStyle::with_template(template) {
+    match ProgressStyle::with_template(template) {
         Ok(style) => bar.with_style(style.with_key("speed", |state: &ProgressState, out: &mut dyn Write| {
             let _ = out.write_str(&speed(state.per_sec()));
         })),
         Err(_) => bar,
-    };
-    bar.with_message(what)
+    }
 }
 
 /// Frames a second, with as many digits as are meaningful.
