@@ -137,30 +137,38 @@ impl ColumnModel {
         let sample = gather(values, size, &sampled);
         let bytes = self.size_of(&Plan::Integers(best), &sources.part(&sampled).sources(), scalar, &sample);
         let bytes = bytes.saturating_mul(values.len()) / sample.len().max(1);
-        let of_neighbours = self.best_by_neighbours(plain, sources, scalar, values);
+        let of_neighbours = self.best_by_neighbours(plain, sources, scalar, values).into_iter();
         let sized = of_neighbours.map(|plan| (self.size_of(&plan, sources, scalar, values), plan));
-        if let Some((bytes, plan)) = sized.filter(|(least, _)| *least < bytes) {
+        if let Some((bytes, plan)) = sized.min_by_key(|(bytes, _)| *bytes).filter(|(least, _)| *least < bytes)
+        {
             return Choice { plan, bytes, is_sure: false, tried: None };
         }
         Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried: Some(tried) }
     }
 
-    /// The plan by neighbours that takes fewer bytes for a part of the records, if there is one.
+    /// The plan by neighbours that takes fewer bytes for a part of the records, or both if it is a close call.
     fn best_by_neighbours(
         &self,
         plain: Integers,
         sources: &Sources,
         scalar: Scalar,
         values: &[u8],
-    ) -> Option<Plan> {
-        let plans = (levels_plan(plain, scalar, values), image_plan(plain, scalar, values));
-        let (Some(levels), Some(image)) = plans else { return plans.0.or(plans.1) };
+    ) -> Vec<Plan> {
+        /// Sizes of parts are accurate to within one part in this number.
+        const UNSURE: usize = 8;
+        let plans = [levels_plan(plain, scalar, values), image_plan(plain, scalar, values)];
+        let plans: Vec<Plan> = plans.into_iter().flatten().collect();
+        if plans.len() < 2 {
+            return plans;
+        }
         let size = scalar.size() as usize;
         let sampled = [middle(values.len() / size, SAMPLE)];
         let (part, values) = (sources.part(&sampled), gather(values, size, &sampled));
-        let [of_levels, of_image] =
-            [levels, image].map(|plan| self.size_of(&plan, &part.sources(), scalar, &values));
-        Some(if of_levels <= of_image { levels } else { image })
+        let sizes = plans.iter().map(|plan| self.size_of(plan, &part.sources(), scalar, &values));
+        let sizes: Vec<usize> = sizes.collect();
+        let least = sizes.iter().min().copied().unwrap_or(0);
+        let close = plans.into_iter().zip(sizes).filter(|(_, size)| *size <= least + least / UNSURE);
+        close.map(|(plan, _)| plan).collect()
     }
 
     /// A plan by neighbours, if the column was last coded by one of that kind: they suit the same columns in

@@ -7,7 +7,7 @@ use super::image::ImageModel;
 use super::integers::{IntegersModel, Site};
 use super::levels::{LevelsModel, Palette};
 use super::plan::{Geometry, Image, Integers, Levels, Plan};
-use super::rules::{Rule, RuleModel};
+use super::rules::{AFTER, BEAM, COLUMN, Rule, RuleModel, TICK, TURN};
 use super::{RecordContext, Sources, may_be_key};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
@@ -146,13 +146,12 @@ impl ColumnModel {
         if let Some(rule) = plan.rule {
             rules.prepare(rule, plan.are_singles(scalar));
             let (model, how) = ((rules, off), (plan.has_exceptions, &places));
-            // The loop over the records is compiled for each kind of rule.
             match rule {
-                Rule::Beam => code_by_rule(coder, Rule::Beam, model, how, scalar, values),
-                Rule::Column => code_by_rule(coder, Rule::Column, model, how, scalar, values),
-                Rule::After => code_by_rule(coder, Rule::After, model, how, scalar, values),
-                Rule::Tick => code_by_rule(coder, Rule::Tick, model, how, scalar, values),
-                Rule::Turn(columns) => code_by_rule(coder, Rule::Turn(columns), model, how, scalar, values),
+                Rule::Beam => code_by_rule::<C, BEAM>(coder, rule, model, how, scalar, values),
+                Rule::Column => code_by_rule::<C, COLUMN>(coder, rule, model, how, scalar, values),
+                Rule::After => code_by_rule::<C, AFTER>(coder, rule, model, how, scalar, values),
+                Rule::Tick => code_by_rule::<C, TICK>(coder, rule, model, how, scalar, values),
+                Rule::Turn(_) => code_by_rule::<C, TURN>(coder, rule, model, how, scalar, values),
             }
             return Ok(());
         }
@@ -180,9 +179,9 @@ impl ColumnModel {
     }
 }
 
-/// Codes values as integers, all or nearly all of which follow a rule.
-#[inline(always)]
-fn code_by_rule<C: BitCoder>(
+/// Codes values as integers, all or nearly all of which follow a rule of this kind: the loop over the records
+/// is compiled for each.
+fn code_by_rule<C: BitCoder, const KIND: u8>(
     coder: &mut C,
     rule: Rule,
     (model, off): (&mut RuleModel, &mut OffModel),
@@ -190,6 +189,7 @@ fn code_by_rule<C: BitCoder>(
     scalar: Scalar,
     values: &mut [u8],
 ) {
+    let rule = rule.of_kind::<KIND>();
     let integers = known_integers::<C>(&places.grid, values);
     let known = integers
         .iter()
@@ -228,13 +228,11 @@ fn code_each<C: BitCoder>(
             return;
         }
         let integer = if C::ENCODES { integers[record] } else { Some(0) };
-        if has_exceptions && off.code(coder, scalar, integer.is_none(), value) {
-            code(coder, record, None);
-            continue;
-        }
-        let coded = code(coder, record, integer.or(Some(0)));
+        let is_off = has_exceptions && off.code(coder, scalar, integer.is_none(), value);
+        // Called at one place, so that it can become a part of the loop.
+        let coded = code(coder, record, if is_off { None } else { integer.or(Some(0)) });
         // An encoder already has the value.
-        if !C::ENCODES {
+        if !C::ENCODES && !is_off {
             grid.write(coded.unwrap_or(0), value);
         }
     }

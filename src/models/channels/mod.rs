@@ -328,7 +328,7 @@ impl ChannelCoder<'_> {
         /// In bytes: nothing else is tried if the columns take no more than this.
         const SMALL: usize = 64;
         /// Nor if they take no more than a byte for this number of records.
-        const MANY: usize = 64;
+        const MANY: usize = 256;
         if is_constant(bytes, self.width) {
             return (Shape::Constant, Vec::new(), None);
         }

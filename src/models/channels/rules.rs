@@ -24,12 +24,13 @@ pub enum Rule {
     Turn(u8),
 }
 
-/// The numbers of no rule and of the first rules; `Turn` has all numbers above them.
+/// The numbers of no rule and of the first rules; `Turn` has all numbers from its own on.
 const NONE: u8 = 0;
-const BEAM: u8 = 1;
-const COLUMN: u8 = 2;
-const AFTER: u8 = 3;
-const TICK: u8 = 4;
+pub const BEAM: u8 = 1;
+pub const COLUMN: u8 = 2;
+pub const AFTER: u8 = 3;
+pub const TICK: u8 = 4;
+pub const TURN: u8 = TICK + 1;
 
 impl Rule {
     /// The largest number of columns in turn.
@@ -44,6 +45,18 @@ impl Rule {
             Some(Rule::After) => AFTER,
             Some(Rule::Tick) => TICK,
             Some(Rule::Turn(columns)) => TICK + columns,
+        }
+    }
+
+    /// The rule, whose kind has this number, which the compiler then knows.
+    #[inline(always)]
+    pub fn of_kind<const KIND: u8>(self) -> Self {
+        match KIND {
+            BEAM => Rule::Beam,
+            COLUMN => Rule::Column,
+            AFTER => Rule::After,
+            TICK => Rule::Tick,
+            _ => Rule::Turn(self.columns() as u8),
         }
     }
 
