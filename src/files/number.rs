@@ -39,10 +39,10 @@ pub(super) fn parse(token: &str, scalar: Scalar, out: &mut Vec<u8>) -> Option<()
     Some(())
 }
 
-/// A number in the form that most texts have: digits, perhaps with a point between them and a minus before
-/// them, and no zeros before the others.
+/// A number as it is usually written, without an exponent: digits, perhaps with a point between them and a
+/// minus before them, and no needless zeros in front.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Plain {
+pub(super) struct PlainNumber {
     is_negative: bool,
     /// All digits as one number.
     digits: u64,
@@ -50,8 +50,8 @@ pub(super) struct Plain {
     decimals: u8,
 }
 
-impl Plain {
-    /// `None` if a text has another form, or more than 18 digits and a point.
+impl PlainNumber {
+    /// `None` if a text has another form, or more than 19 characters after the minus.
     #[inline]
     pub(super) fn of(text: &str) -> Option<Self> {
         /// A number of this many digits has 64 bits.
@@ -76,7 +76,7 @@ impl Plain {
         let decimals = text.len() - (whole + 1).min(text.len());
         let has_both = whole > 0 && (decimals > 0 || point.is_none());
         let is_short = whole == 1 || text[0] != b'0';
-        (has_both && is_short).then_some(Plain { is_negative, digits, decimals: decimals as u8 })
+        (has_both && is_short).then_some(PlainNumber { is_negative, digits, decimals: decimals as u8 })
     }
 
     /// The value as a floating-point number; `None` if its text must be parsed to know it.
@@ -97,9 +97,14 @@ impl Plain {
     }
 }
 
-/// As [`parse`], for a text that has been taken apart, if it has the form of most.
+/// As [`parse`], given the text as a plain number too, if it is one.
 #[inline]
-pub(super) fn parse_taken(text: &str, plain: Option<Plain>, scalar: Scalar, out: &mut Vec<u8>) -> Option<()> {
+pub(super) fn parse_plain(
+    text: &str,
+    plain: Option<PlainNumber>,
+    scalar: Scalar,
+    out: &mut Vec<u8>,
+) -> Option<()> {
     match (scalar, plain.and_then(|plain| plain.float(scalar == Scalar::F32))) {
         (Scalar::F32, Some(value)) => out.extend((value as f32).to_le_bytes()),
         (Scalar::F64, Some(value)) => out.extend(value.to_le_bytes()),
@@ -140,11 +145,11 @@ impl NumberWriter {
         Ok(())
     }
 
-    /// Whether [`write`](Self::write) gives this text, which has been taken apart if it has the form of most.
+    /// Whether [`write`](Self::write) gives this text, which is also given as a plain number if it is one.
     pub(super) fn gives(
         &mut self,
         text: &str,
-        plain: Option<Plain>,
+        plain: Option<PlainNumber>,
         value: &[u8],
         column: Column,
     ) -> Result<bool> {
@@ -160,7 +165,7 @@ impl NumberWriter {
 
     /// Whether [`write`](Self::write) gives this number, compared as integers; `None` if it must be written
     /// to know that.
-    fn gives_plain(&self, plain: Plain, bytes: &[u8], column: Column) -> Option<bool> {
+    fn gives_plain(&self, plain: PlainNumber, bytes: &[u8], column: Column) -> Option<bool> {
         let value = match column.scalar {
             Scalar::F32 => f64::from(LittleEndian::read_f32(bytes)),
             Scalar::F64 => LittleEndian::read_f64(bytes),
@@ -394,7 +399,7 @@ fn write_plain(digits: &[u8], exponent: i32, point_zero: bool, out: &mut Vec<u8>
 pub(super) struct Survey {
     /// The most digits of a number, not counting leading zeros.
     significant: usize,
-    /// The largest number without its point, of those that have been taken apart.
+    /// The largest plain number, without its point.
     largest: u64,
     /// The fewest and the most digits after the decimal point.
     decimals: (usize, usize),
@@ -415,11 +420,11 @@ impl Survey {
         }
     }
 
-    /// Takes one more text into account, which has been taken apart if it has the form of most. NaN and
-    /// infinity carry no information.
+    /// Takes one more text into account, which is also given as a plain number if it is one. NaN and infinity
+    /// carry no information.
     #[inline]
-    pub(super) fn add(&mut self, token: &str, plain: Option<Plain>) {
-        let Some(Plain { digits, decimals, .. }) = plain else { return self.add_other(token) };
+    pub(super) fn add(&mut self, token: &str, plain: Option<PlainNumber>) {
+        let Some(PlainNumber { digits, decimals, .. }) = plain else { return self.add_other(token) };
         self.largest = self.largest.max(digits);
         let decimals = usize::from(decimals);
         self.decimals = (self.decimals.0.min(decimals), self.decimals.1.max(decimals));
@@ -573,9 +578,9 @@ mod tests {
         assert_eq!(text(12e14, Scalar::F64, rule(true, true)), "1200000000000000.0");
     }
 
-    /// Numbers that are compared as integers give the same answers as texts that are written and compared.
+    /// Comparing the digits as integers gives the same answers as writing the number and comparing texts.
     #[test]
-    fn numbers_taken_apart_stand_for_their_texts() {
+    fn plain_numbers_stand_for_their_texts() {
         let mut random = Rng::keyed(7, &[]);
         let rules = [NumberRule::Fixed(0), NumberRule::Fixed(3), NumberRule::Significant(5)];
         let rules = rules.into_iter().chain([NumberRule::Significant(9), NumberRule::Scientific(2)]);
@@ -605,11 +610,11 @@ mod tests {
                 3 => text.push_str(".0"),
                 _ => {}
             }
-            let gives = writer.gives(&text, Plain::of(&text), &bytes, column).unwrap();
+            let gives = writer.gives(&text, PlainNumber::of(&text), &bytes, column).unwrap();
             assert_eq!(gives, text.as_bytes() == written, "{text} and {rule:?} of {value}");
             (same, different) = (same + u32::from(gives), different + u32::from(!gives));
             let (mut plain, mut parsed) = (Vec::new(), Vec::new());
-            let is_number = parse_taken(&text, Plain::of(&text), scalar, &mut plain);
+            let is_number = parse_plain(&text, PlainNumber::of(&text), scalar, &mut plain);
             assert_eq!(is_number, parse(&text, scalar, &mut parsed), "{text}");
             assert_eq!(plain, parsed, "{text}");
         }

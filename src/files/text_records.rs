@@ -5,7 +5,7 @@
 //! ways, so the rule of each column is found by trial, and its type too unless it is declared.
 
 use super::field::{Declared, layout_of, name_of};
-use super::number::{self, NumberWriter, Plain, Survey};
+use super::number::{self, NumberWriter, PlainNumber, Survey};
 use super::records;
 use crate::ground::error::Result;
 use crate::scan::{
@@ -194,8 +194,8 @@ impl<'a> Characters<'a> {
 struct Numbers<'a> {
     /// The texts, line by line, with the spaces that fill them up.
     texts: Vec<&'a str>,
-    /// The same numbers taken apart, column by column; `None` if one has not the form of most.
-    plain: Vec<Vec<Option<Plain>>>,
+    /// The same numbers as plain numbers, column by column; `None` for numbers in other forms.
+    plain: Vec<Vec<Option<PlainNumber>>>,
     scratch: Vec<u8>,
 }
 
@@ -213,7 +213,7 @@ impl<'a> Numbers<'a> {
     /// text without the spaces that fill it up.
     #[inline]
     fn push(&mut self, column: usize, text: &'a str, number: &str, scalar: Option<Scalar>) -> Option<()> {
-        let plain = Plain::of(number);
+        let plain = PlainNumber::of(number);
         let scalar = scalar.unwrap_or(Scalar::F64);
         if plain.is_none() || !scalar.is_float() {
             self.scratch.clear();
@@ -230,13 +230,13 @@ impl<'a> Numbers<'a> {
         self.plain.iter_mut().for_each(|plain| plain.truncate(lines));
     }
 
-    /// The numbers of a column, as texts and taken apart.
-    fn column(&self, at: usize) -> impl Iterator<Item = (&'a str, Option<Plain>)> + Clone {
+    /// The numbers of a column, as texts and as plain numbers.
+    fn column(&self, at: usize) -> impl Iterator<Item = (&'a str, Option<PlainNumber>)> + Clone {
         let texts = self.texts.iter().skip(at).step_by(self.plain.len());
         texts.copied().zip(self.plain[at].iter().copied())
     }
 
-    /// The texts of those that have not the form of most.
+    /// The texts of those that are not plain numbers.
     fn others(&self) -> impl Iterator<Item = &'a str> {
         let all = (0..self.plain.len()).flat_map(|at| self.column(at));
         all.filter(|(_, plain)| plain.is_none()).map(|(text, _)| text)
@@ -387,7 +387,7 @@ const ANY: [Scalar; 10] = {
 /// preserves every digit are stored as float32: many programs print float32 values as doubles.
 fn find_column<'a>(
     declared: Option<Scalar>,
-    numbers: impl Iterator<Item = (&'a str, Option<Plain>)> + Clone,
+    numbers: impl Iterator<Item = (&'a str, Option<PlainNumber>)> + Clone,
     printf: Printf,
 ) -> Option<(Column, Vec<u8>)> {
     let candidates = match &declared {
@@ -399,7 +399,7 @@ fn find_column<'a>(
         let mut values = Vec::new();
         numbers
             .clone()
-            .try_for_each(|(text, plain)| number::parse_taken(text, plain, scalar, &mut values))?;
+            .try_for_each(|(text, plain)| number::parse_plain(text, plain, scalar, &mut values))?;
         let pairs = numbers.clone().zip(values.chunks_exact(scalar.size() as usize));
         let column = find_rule(scalar, pairs, printf)?;
         Some((column, values))
@@ -409,7 +409,7 @@ fn find_column<'a>(
 /// The first rule that restores all these texts from these values.
 fn find_rule<'t, 'v>(
     scalar: Scalar,
-    pairs: impl Iterator<Item = ((&'t str, Option<Plain>), &'v [u8])> + Clone,
+    pairs: impl Iterator<Item = ((&'t str, Option<PlainNumber>), &'v [u8])> + Clone,
     printf: Printf,
 ) -> Option<Column> {
     let mut survey = Survey::new();

@@ -48,7 +48,8 @@ impl Rule {
         }
     }
 
-    /// The rule, whose kind has this number, which the compiler then knows.
+    /// The same rule, given the number of its kind as a constant: loops are then compiled without branches on
+    /// the kind.
     #[inline(always)]
     pub fn of_kind<const KIND: u8>(self) -> Self {
         match KIND {
