@@ -137,7 +137,7 @@ impl ColumnModel {
         let sample = gather(values, size, &sampled);
         let bytes = self.size_of(&Plan::Integers(best), &sources.part(&sampled).sources(), scalar, &sample);
         let bytes = bytes.saturating_mul(values.len()) / sample.len().max(1);
-        let of_neighbours = self.best_by_neighbours(plain, sources, scalar, values).into_iter();
+        let of_neighbours = self.likely_by_neighbours(plain, sources, scalar, values).into_iter();
         let sized = of_neighbours.map(|plan| (self.size_of(&plan, sources, scalar, values), plan));
         if let Some((bytes, plan)) = sized.min_by_key(|(bytes, _)| *bytes).filter(|(least, _)| *least < bytes)
         {
@@ -146,8 +146,9 @@ impl ColumnModel {
         Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried: Some(tried) }
     }
 
-    /// The plan by neighbours that takes fewer bytes for a part of the records, or both if it is a close call.
-    fn best_by_neighbours(
+    /// The plans by neighbours that may take the fewest bytes: the better one for a part of the records, or
+    /// both if it is a close call.
+    fn likely_by_neighbours(
         &self,
         plain: Integers,
         sources: &Sources,
@@ -355,6 +356,7 @@ fn misses(
     }
 }
 
+/// As [`misses`], for a rule that the compiler knows.
 #[inline(always)]
 fn count_misses(
     mut state: RuleState,
