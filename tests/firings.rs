@@ -342,6 +342,25 @@ fn lasers_that_take_turns_are_found() {
     assert!(inexact <= scan.len() / 1000, "{inexact} of {}", scan.len());
 }
 
+/// Sums of degrees tell which whole ticks belong to the offsets by the end of the turn alone.
+#[test]
+fn whole_ticks_of_offsets_are_found() {
+    let nominal = made_up(Recipe::NebulaJanuary2023);
+    for degrees in [-3, 2, 7] {
+        let lasers = nominal.lasers().iter();
+        let lasers = lasers
+            .map(|laser| Laser { azimuth: laser.azimuth + degrees * 1_000_000_000, ..*laser })
+            .collect();
+        let truth = Firings::new(nominal.build().clone(), lasers, (0..32).collect());
+        let scan = points(&truth, &image(&truth, 1));
+        let (found, share) = fit(&[file(&scan)]).expect("found");
+        assert_eq!((found.build().recipe, share), (Recipe::NebulaJanuary2023, 1.0));
+        assert_eq!(found.lasers(), truth.lasers(), "{degrees}");
+        let (_, inexact, strays) = counts(&found, &scan);
+        assert_eq!((inexact, strays), (0, 0), "{degrees}");
+    }
+}
+
 #[test]
 fn constants_of_any_digits_are_found_to_the_last_bit() {
     let nominal = made_up(Recipe::Nebula);

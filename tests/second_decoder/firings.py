@@ -13,15 +13,18 @@ TOGETHER, VLP_16, ONE_FIRING, TWO_FIRINGS = range(4)
 WHOLE = 1 << 24
 
 # How the recipes' ranges are rounded, and which of them compute in double precision.
-SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13, 15, 16, 18
-ROUNDED_PRODUCT = 6, 7, 10
-DOUBLE = 1, 2, 3, 5, 11, 12, 14, 17
-GLIBC = 8, 9, 15, 16
+SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13, 15, 16, 18, 20
+ROUNDED_PRODUCT = 6, 7, 10, 19, 21
+DOUBLE = 1, 2, 3, 5, 11, 12, 14, 17, 22
+GLIBC = 6, 7, 8, 9, 15, 16, 19, 20, 21, 22
+SUM_OF_RADIANS = 6, 19, 20
+SUM_OF_DEGREES = 7, 14, 21, 22
+DOUBLE_PRODUCTS = 14, 21, 22
 FOCAL_POINT = 15, 16
 OUSTER = 11, 12, 17
 UNROUNDED = 1, 2, 3, 5
 ROBOSENSE, LSLIDAR, PANDAR_64, APOLLO, ONCE, OUSTER_EARLY, ROBOSENSE_EARLY = 4, 5, 10, 13, 14, 17, 18
-LAST = ROBOSENSE_EARLY
+LAST = 22
 
 SLOT, FIRING, BLOCK = map(f32, (2.304, 55.296, 110.592))
 LS_DEGREE = 0.017453293
@@ -137,13 +140,11 @@ class Scanner:
             3: self.double,
             4: self.robosense,
             5: self.lslidar,
-            6: self.sum,
-            7: self.sum,
             11: self.ouster,
             12: self.ouster,
             OUSTER_EARLY: self.ouster,
             ROBOSENSE_EARLY: self.robosense,
-            ONCE: self.once,
+            **dict.fromkeys(SUM_OF_RADIANS + SUM_OF_DEGREES, self.sum),
         }.get(self.recipe, self.single)
         self.lasers = [self.laser(elevation * 1e-9, azimuth * 1e-9) for elevation, azimuth in angles]
         self.of_ticks = {}
@@ -245,18 +246,13 @@ class Scanner:
             laser.cos_v, laser.sin_v = cos_single(radians(e)), sin_single(radians(e))
         elif self.position == self.lslidar:
             laser.cos_v, laser.sin_v = cos(e * LS_DEGREE), sin(e * LS_DEGREE)
-        elif self.recipe == 6:
-            v = f32(f32(e) * f32(DEGREE))
-            laser.cos_v, laser.sin_v = glibc_cosf(v), glibc_sinf(v)
-            laser.offset = f32(f32(o) * f32(DEGREE))
-        elif self.recipe == 7:
-            v = f32(radians(f32(e)))
-            laser.cos_v, laser.sin_v = glibc_cosf(v), glibc_sinf(v)
-            laser.offset = f32(o)
-        elif self.recipe == ONCE:
-            v = f32(radians(f32(e)))
-            laser.cos_v, laser.sin_v = old_cosf(v), old_sinf(v)
-            laser.offset = f32(o)
+        elif self.position == self.sum:
+            v, laser.offset = f32(radians(f32(e))), f32(o)
+            if self.recipe == 6:
+                v, laser.offset = f32(f32(e) * f32(DEGREE)), f32(f32(o) * f32(DEGREE))
+            elif self.recipe in SUM_OF_RADIANS:
+                laser.offset = f32(radians(f32(o)))
+            laser.cos_v, laser.sin_v = self.cosine(v), self.sine(v)
         else:
             laser.cos_v, laser.sin_v = cos(radians(e)), sin(radians(e))
         return laser
@@ -303,13 +299,6 @@ class Scanner:
             return flat * sin(a), flat * cos(a), d * laser.sin_v
         return flat * cos(a), -(flat * sin(a)), d * laser.sin_v
 
-    # Recipe 14
-
-    def once(self, laser, tick, d):
-        a = f32(radians(laser.offset + tick / (1 / self.tick_degrees)))
-        flat = d * laser.cos_v
-        return f32(flat * old_sinf(a)), f32(flat * old_cosf(a)), f32(d * laser.sin_v)
-
     # Recipes 4 and 18
 
     def direction_of_tick(self, tick):
@@ -349,15 +338,17 @@ class Scanner:
         start = tuple((along * a - f * b + n) * 1e-3 for a, f, b, n in zip(ahead, farther, beam, above))
         return direction, start
 
-    # Recipes 6 and 7
+    # Recipes 6, 7, 14 and 19 to 22
 
     def sum(self, laser, tick, d):
         if self.recipe == 6:
             a = f32(f32(tick / (self.ticks / 360) * DEGREE) + laser.offset)
+        elif self.recipe in SUM_OF_RADIANS:
+            a = f32(f32(radians(tick / (self.ticks / 360))) + laser.offset)
         else:
             a = f32(radians(laser.offset + tick / (1 / self.tick_degrees)))
-        flat = f32(d * laser.cos_v)
-        return f32(flat * glibc_sinf(a)), f32(flat * glibc_cosf(a)), f32(d * laser.sin_v)
+        flat = d * laser.cos_v if self.recipe in DOUBLE_PRODUCTS else f32(d * laser.cos_v)
+        return f32(flat * self.sine(a)), f32(flat * self.cosine(a)), f32(d * laser.sin_v)
 
 
 def context(difference):

@@ -1,12 +1,13 @@
 //! The constants of lasers, such that the file's coordinates are reproduced to the last bit: elevations and
 //! azimuth offsets, rounded as manufacturers round them, and the recipe, found by trying all of them.
 
+use std::f64::consts::TAU;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
 use super::blur::Blur;
-use super::recipe::whole_steps;
+use super::recipe::{SumPrecision, whole_steps};
 use super::{ANGLE_UNIT, Build, Firings, Laser, Mounting, Origin, Recipe};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::Return;
@@ -192,12 +193,13 @@ impl Constants<'_> {
             false => recipe.starts_in_beam(),
         });
         let known = recipes.map(|recipe| Firings::without_lasers(Build { recipe, ..build.clone() }));
+        let adds = |bare: &Firings| bare.build.recipe.sum().is_some();
         // A recipe that reproduces fewer points than another need not be counted to the end, and one after
-        // the first that reproduces all of them need not be tried.
+        // the first that reproduces all of them need not be tried, but for those that are compared below.
         let (most, first_perfect) = (AtomicUsize::new(0), AtomicUsize::new(usize::MAX));
         let tried = known.clone().filter_map(|bare| {
             let number = bare.build.recipe as usize;
-            if number > first_perfect.load(Ordering::Relaxed) {
+            if number > first_perfect.load(Ordering::Relaxed) && !adds(&bare) {
                 return None;
             }
             let (common, exact) = self.common(&bare, &offsets, &few, most.load(Ordering::Relaxed));
@@ -207,7 +209,8 @@ impl Constants<'_> {
             }
             Some((bare, common, exact))
         });
-        let best = first_of_equals(tried.collect(), |(.., exact)| *exact)?;
+        let tried: Vec<(Firings, i32, usize)> = tried.collect();
+        let best = first_of_equals(tried.clone(), |(.., exact)| *exact)?;
         let turned = (4 * best.2 < 3 * points).then(|| {
             let tried = known.map(|bare| {
                 let exact = self.exact_turned(&bare, &offsets, &few);
@@ -217,22 +220,48 @@ impl Constants<'_> {
         });
         let turned = turned.flatten().filter(|(.., exact)| 4 * exact >= 3 * points);
         let are_turned = turned.is_some();
-        let (bare, common, exact) = turned.unwrap_or(best);
-        let may_turn = bare.build.recipe.adds_in_single() && 2 * exact > points;
-        let of_row = |row: usize| {
-            let offset = offsets[row] + f64::from(common) * tick;
-            let (elevations, _) = self.elevations(&bare, row, 0);
-            let (mut laser, exact) = self.laser_among(&bare, row, offset, &elevations, 0);
-            // The offset may be wrong by whole ticks of its own, because there were too few points or because
-            // ticks pass until the laser fires.
-            if may_turn && 4 * exact < 3 * self.of_rows[row].len() {
-                laser = self.turned(&bare, row, offset, &elevations).0;
+        let rivals = match turned {
+            Some(turned) => vec![turned],
+            // Recipes that add angles differ so little that several may reproduce all of these points.
+            None if adds(&best.0) => {
+                tried.into_iter().filter(|(bare, _, exact)| adds(bare) && *exact == best.2).collect()
             }
-            let sums = matches!(bare.build.recipe, Recipe::Nebula | Recipe::Nebula2023 | Recipe::Once);
-            if sums { self.of_sums(&bare, row, laser) } else { laser }
+            None => vec![best],
         };
-        let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
+        let fits = rivals.into_iter().map(|(bare, common, exact)| {
+            let may_turn = bare.build.recipe.adds_in_single() && 2 * exact > points;
+            let of_row = |row| self.laser_of(&bare, row, offsets[row] + f64::from(common) * tick, may_turn);
+            let lasers: Vec<Laser> = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
+            (bare, lasers)
+        });
+        let fits: Vec<(Firings, Vec<Laser>)> = fits.collect();
+        let (bare, lasers) = match fits.len() {
+            1 => fits.into_iter().next()?,
+            _ => first_of_equals(fits, |(bare, lasers)| self.worth(bare, lasers))?,
+        };
         Some(LaserFit { recipe: bare.build.recipe, lasers, are_turned })
+    }
+
+    /// What lasers are worth: the number of points that they reproduce to the last bit, in hundredths; more for
+    /// those of lasers whose constants have few digits, which is likely with the right recipe only.
+    fn worth(&self, bare: &Firings, lasers: &[Laser]) -> usize {
+        let of_row = |(laser, points): (&Laser, &Vec<Point>)| {
+            let round = [laser.elevation, laser.azimuth].map(|angle| usize::from(is_thousandth(angle)));
+            exact_points(bare, *laser, points, 0..3, 0) * (100 + round[0] + round[1])
+        };
+        lasers.iter().zip(&self.more_of_rows).map(of_row).sum()
+    }
+
+    /// The constants of a laser, given its azimuth offset in degrees, as accurately as its points determine
+    /// them. The offset `may_turn` out to be wrong by whole ticks of its own, because there were too few points
+    /// or because ticks pass until the laser fires.
+    fn laser_of(&self, bare: &Firings, row: usize, offset: f64, may_turn: bool) -> Laser {
+        let (elevations, _) = self.elevations(bare, row, 0);
+        let (mut laser, exact) = self.laser_among(bare, row, offset, &elevations, 0);
+        if may_turn && 4 * exact < 3 * self.of_rows[row].len() {
+            laser = self.turned(bare, row, offset, &elevations).0;
+        }
+        if bare.build.recipe.sum().is_some() { self.of_sums(bare, row, laser) } else { laser }
     }
 
     /// What reproduces points whose coordinates were rounded, given the offsets of the lasers in degrees.
@@ -346,7 +375,9 @@ impl Constants<'_> {
             found.push((laser, exact));
         }
         let exact: usize = found.iter().map(|(_, exact)| exact).sum();
-        if exact == points || is_known {
+        // Sums of degrees depend on the error only where they pass the end of the turn.
+        let is_shown = bare.build.recipe.sum() != Some(SumPrecision::Degrees);
+        if is_known || (exact == points && is_shown) {
             return (0, exact);
         }
         let tried = Tried { constants: self, bare, offsets, rows: few, found };
@@ -468,10 +499,9 @@ impl Tried<'_> {
     fn common_of_fractions(&self) -> (i32, usize) {
         /// The largest error that is tried.
         const FARTHEST: i32 = 4;
-        let thousandth = (1e-3 / ANGLE_UNIT) as i64;
         let worth = |lasers: &[(Laser, usize)]| {
             let exact: usize = lasers.iter().map(|(_, exact)| exact).sum();
-            (exact, lasers.iter().filter(|(laser, _)| laser.azimuth % thousandth == 0).count())
+            (exact, lasers.iter().filter(|(laser, _)| is_thousandth(laser.azimuth)).count())
         };
         let mut best = (0, worth(&self.found));
         for common in Self::rising(FARTHEST) {
@@ -493,7 +523,7 @@ impl Tried<'_> {
         const SPARSE: usize = 4;
         /// In degrees: no offset is this near to a thousandth by chance.
         const NEAR_THOUSANDTH: f64 = 1e-4;
-        let Constants { of_rows, .. } = self.constants;
+        let Constants { of_rows, more_of_rows, .. } = self.constants;
         let exact: usize = self.found.iter().map(|(_, exact)| exact).sum();
         let points: usize = self.rows.iter().map(|&row| of_rows[row].len()).sum();
         let lasers = self.rows.iter().zip(&self.found);
@@ -502,8 +532,21 @@ impl Tried<'_> {
         if 2 * heights < points || heights < least {
             return (0, exact);
         }
-        let fewer: Vec<Vec<Point>> =
-            self.rows.iter().map(|&row| of_rows[row].iter().step_by(SPARSE).copied().collect()).collect();
+        let Build { recipe, ticks, .. } = self.bare.build;
+        let adds_degrees = recipe.sum() == Some(SumPrecision::Degrees);
+        // Of sums of degrees, the error is shown only by points near the end of the turn.
+        let farthest = f64::from(FARTHEST) * TAU / f64::from(ticks);
+        let is_near_end = |point: &&Point| {
+            let [x, y, _] = point.position;
+            recipe.azimuth(x, y).abs() < farthest
+        };
+        let fewer = |&row: &usize| -> Vec<Point> {
+            match adds_degrees {
+                true => more_of_rows[row].iter().filter(is_near_end).copied().collect(),
+                false => of_rows[row].iter().step_by(SPARSE).copied().collect(),
+            }
+        };
+        let fewer: Vec<Vec<Point>> = self.rows.iter().map(fewer).collect();
         // Sums in single precision depend on the last digits of the offsets, so these should be right.
         let is_thousandth = |&row: &usize| {
             let off = self.offsets[row] - roundings(self.offsets[row])[0] as f64 * ANGLE_UNIT;
@@ -511,22 +554,53 @@ impl Tried<'_> {
         };
         let are_moved = self.constants.are_moved(self.rows);
         let are_thousandths = are_moved || self.rows.iter().all(is_thousandth);
+        if adds_degrees && exact == points && (are_moved || !are_thousandths) {
+            return (0, exact);
+        }
         let all = std::iter::once(0).chain(Self::rising(FARTHEST));
         let common = if are_thousandths && !are_moved {
             // No more of these points may be missed than of all points, and with the right error most are
             // reproduced.
             let size: usize = fewer.iter().map(Vec::len).sum();
             let least = size.saturating_sub(points - least.min(points)).max(size * 3 / 4).max(1);
-            let found = all.fold((least - 1, 0), |best, common| {
-                self.count(common, true, &fewer, best.0 + 1).map_or(best, |count| (count, common))
-            });
-            found.1
+            let likely = self.near_likeliest(all, &fewer, least);
+            if adds_degrees {
+                likely.first().map_or(0, |(_, common)| *common)
+            } else {
+                let more: Vec<Vec<Point>> = self.rows.iter().map(|&row| more_of_rows[row].clone()).collect();
+                let best = likely.into_iter().fold((0, 0), |best, (_, common)| {
+                    self.count(common, true, &more, best.0 + 1).map_or(best, |count| (count, common))
+                });
+                best.1
+            }
         } else {
             self.likeliest(all, are_moved, &fewer)
         };
         let exact_so = |&row: &usize| self.constants.laser(self.bare, row, self.offset(row, common)).1;
         let sum = self.rows.iter().map(exact_so).sum();
-        if sum > exact { (common, sum) } else { (0, exact) }
+        if sum >= exact { (common, sum) } else { (0, exact) }
+    }
+
+    /// The errors of offsets in whole thousandths of degrees that reproduce the most of these points, the
+    /// likeliest first, with the numbers of points: at least `least`, and nearly the most.
+    fn near_likeliest(
+        &self,
+        all: impl Iterator<Item = i32>,
+        points: &[Vec<Point>],
+        least: usize,
+    ) -> Vec<(usize, i32)> {
+        /// One in so many points more may be missed than with the likeliest.
+        const MISSED: usize = 16;
+        let mut most = 0;
+        let counted = all.filter_map(|common| {
+            let count = self.count(common, true, points, least.max(most - most / MISSED))?;
+            most = most.max(count);
+            Some((count, common))
+        });
+        let mut likely: Vec<(usize, i32)> = counted.collect();
+        likely.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
+        likely.truncate(LIKELIEST);
+        likely
     }
 
     /// The number of these points of the rows that are reproduced if all offsets are wrong by this number of
@@ -555,8 +629,6 @@ impl Tried<'_> {
     /// offsets are not known well. Few points are then reproduced, so the likeliest errors are compared on
     /// more points.
     fn likeliest(&self, all: impl Iterator<Item = i32>, are_moved: bool, fewer: &[Vec<Point>]) -> i32 {
-        /// Number of errors that are compared.
-        const LIKELIEST: usize = 32;
         let Constants { of_rows, more_of_rows, .. } = self.constants;
         let mut counted: Vec<_> =
             all.map(|common| (self.count(common, are_moved, fewer, 0), common)).collect();
@@ -576,6 +648,9 @@ impl Tried<'_> {
         counted.fold((0, 0), |best, next| if next.0 > best.0 { next } else { best }).1
     }
 }
+
+/// Number of errors that are compared on more points.
+const LIKELIEST: usize = 32;
 
 /// The element that is worth the most, the first one on ties.
 fn first_of_equals<T>(all: Vec<T>, worth: impl Fn(&T) -> usize) -> Option<T> {
@@ -700,6 +775,11 @@ const SHORT_PI: f64 = 31_415_926.0 / 1e7 / std::f64::consts::PI;
 
 /// Number of steps to either side that are tried, for a constant that a program wrote with fewer digits.
 const NEIGHBOURS: i32 = 12;
+
+/// Whether an angle, in units, is a whole number of thousandths of a degree.
+fn is_thousandth(angle: i64) -> bool {
+    angle % (1e-3 / ANGLE_UNIT) as i64 == 0
+}
 
 /// An angle in degrees as its manufacturer may have written it, in units: with three, six, two, four and
 /// seven digits, and unrounded.

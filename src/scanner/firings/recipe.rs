@@ -29,11 +29,12 @@ pub enum Recipe {
     /// LSLiDAR's driver: double precision, rounded once, with 0.017453293 radians per degree; y ahead,
     /// azimuth clockwise, and beams that start away from the axis.
     LsLidar = 5,
-    /// Autoware's `nebula` for Hesai's scanners: sums of angles in single precision, glibc's cosine and sine
-    /// of them, y ahead, azimuth clockwise.
+    /// Autoware's `nebula` for Hesai's scanners since 2026: sums of angles in single precision, of constants
+    /// that it converts to radians in single precision; glibc's cosine and sine of the sums; y ahead, azimuth
+    /// clockwise.
     Nebula = 6,
-    /// As `Nebula`, in its version of 2023: sums of angles in double precision, rounded once.
-    Nebula2023 = 7,
+    /// As `Nebula`, in its version of January 2023: sums of angles in double precision, rounded once.
+    NebulaJanuary2023 = 7,
     /// As `VelodyneRos`, with glibc's cosine and sine.
     VelodyneRosGlibc = 8,
     /// Autoware's `nebula` for Velodyne's scanners: as `VelodyneRosGlibc`, with angles of ticks in double
@@ -50,8 +51,7 @@ pub enum Recipe {
     /// Apollo's driver for Velodyne's scanners: as `VelodyneRos`, with angles of ticks by a product with pi,
     /// products of x and y in double precision, and cosine and sine of glibc before 2.28.
     Apollo = 13,
-    /// The ONCE data set: as `Nebula2023`, with products in double precision and cosine and sine of glibc
-    /// before 2.28.
+    /// The ONCE data set: as `NebulaApril2023Pandar40`, with cosine and sine of glibc before 2.28.
     Once = 14,
     /// The Python package `velodyne-decoder`: as `VelodyneRosGlibc`, with angles of ticks by two products,
     /// and a height for each laser. Its beams intersect in a focal point in front of the axis.
@@ -64,6 +64,15 @@ pub enum Recipe {
     /// As `RoboSense`, in an early version of the driver: a hundredth of a degree is a float32, and
     /// elevations below 0 are taken from the end of the tables.
     RoboSenseEarly = 18,
+    /// As `Nebula`, in its versions from June 2023 to 2025: it converts constants to radians in double
+    /// precision.
+    Nebula2025 = 19,
+    /// As `Nebula2025`, in its version of June 2023 for the Pandar40P: ranges are products in single precision.
+    NebulaJune2023Pandar40 = 20,
+    /// As `NebulaJanuary2023`, in the version of April 2023: coordinates are products in double precision.
+    NebulaApril2023 = 21,
+    /// As `NebulaApril2023`, for the Pandar40P: so are ranges.
+    NebulaApril2023Pandar40 = 22,
 }
 
 /// Axes of the coordinates.
@@ -75,7 +84,7 @@ pub(super) enum Axes {
 
 impl Recipe {
     /// Every recipe, in the order in which the fit tries them.
-    pub const ALL: [Recipe; 19] = [
+    pub const ALL: [Recipe; 23] = [
         Recipe::VelodyneRos,
         Recipe::DoubleYAhead,
         Recipe::DoubleXAhead,
@@ -83,7 +92,7 @@ impl Recipe {
         Recipe::RoboSense,
         Recipe::LsLidar,
         Recipe::Nebula,
-        Recipe::Nebula2023,
+        Recipe::NebulaJanuary2023,
         Recipe::VelodyneRosGlibc,
         Recipe::NebulaVelodyne,
         Recipe::Pandar64,
@@ -95,6 +104,10 @@ impl Recipe {
         Recipe::VelodyneDecoderHdl32e,
         Recipe::OusterEarly,
         Recipe::RoboSenseEarly,
+        Recipe::Nebula2025,
+        Recipe::NebulaJune2023Pandar40,
+        Recipe::NebulaApril2023,
+        Recipe::NebulaApril2023Pandar40,
     ];
 
     /// The recipe of this number in the stream.
@@ -145,6 +158,20 @@ impl Recipe {
         }
     }
 
+    /// How it computes a direction, if it takes cosine and sine of the sum of a tick's and a laser's angle.
+    pub(super) fn sum(self) -> Option<SumPrecision> {
+        match self {
+            Recipe::Nebula | Recipe::Nebula2025 | Recipe::NebulaJune2023Pandar40 => {
+                Some(SumPrecision::Radians)
+            }
+            Recipe::NebulaJanuary2023
+            | Recipe::NebulaApril2023
+            | Recipe::NebulaApril2023Pandar40
+            | Recipe::Once => Some(SumPrecision::Degrees),
+            _ => None,
+        }
+    }
+
     /// Whether it rounds sums of angles, or of products of their cosines and sines, to single precision.
     pub(super) fn adds_in_single(self) -> bool {
         !matches!(self, Recipe::DoubleYAhead | Recipe::DoubleXAhead | Recipe::SingleRangeXAhead)
@@ -162,8 +189,16 @@ impl Recipe {
             Recipe::RoboSense => "arithmetic of RoboSense's rs_driver",
             Recipe::RoboSenseEarly => "arithmetic of RoboSense's early rs_driver",
             Recipe::LsLidar => "arithmetic of LSLiDAR's driver",
-            Recipe::Nebula => "arithmetic of Autoware's nebula for Hesai",
-            Recipe::Nebula2023 => "arithmetic of Autoware's nebula for Hesai of 2023",
+            Recipe::Nebula => "arithmetic of Autoware's nebula for Hesai since 2026",
+            Recipe::Nebula2025 => "arithmetic of Autoware's nebula for Hesai until 2025",
+            Recipe::NebulaJune2023Pandar40 => {
+                "arithmetic of Autoware's nebula of June 2023 for the Pandar40P"
+            }
+            Recipe::NebulaApril2023 => "arithmetic of Autoware's nebula for Hesai of April 2023",
+            Recipe::NebulaApril2023Pandar40 => {
+                "arithmetic of Autoware's nebula of April 2023 for the Pandar40P"
+            }
+            Recipe::NebulaJanuary2023 => "arithmetic of Autoware's nebula for Hesai of January 2023",
             Recipe::VelodyneRosGlibc => "arithmetic of ROS velodyne_pointcloud with glibc",
             Recipe::NebulaVelodyne => "arithmetic of Autoware's nebula for Velodyne",
             Recipe::Pandar64 => "arithmetic of a ROS driver of the Pandar64",
@@ -195,7 +230,11 @@ impl Recipe {
             Recipe::DoubleYAhead
             | Recipe::LsLidar
             | Recipe::Nebula
-            | Recipe::Nebula2023
+            | Recipe::Nebula2025
+            | Recipe::NebulaJune2023Pandar40
+            | Recipe::NebulaJanuary2023
+            | Recipe::NebulaApril2023
+            | Recipe::NebulaApril2023Pandar40
             | Recipe::Pandar64
             | Recipe::Once => Axes::YAhead,
         }
@@ -204,13 +243,12 @@ impl Recipe {
     /// Cosine and sine of an angle in single precision, as the program's C library computes them.
     fn cos_sin(self, radians: f32) -> [f32; 2] {
         match self {
-            Recipe::Nebula
-            | Recipe::Nebula2023
-            | Recipe::VelodyneRosGlibc
+            Recipe::Apollo | Recipe::Once => glibc::old_cos_sin(radians),
+            Recipe::VelodyneRosGlibc
             | Recipe::NebulaVelodyne
             | Recipe::VelodyneDecoder
             | Recipe::VelodyneDecoderHdl32e => [glibc::cosf(radians), glibc::sinf(radians)],
-            Recipe::Apollo | Recipe::Once => glibc::old_cos_sin(radians),
+            _ if self.sum().is_some() => [glibc::cosf(radians), glibc::sinf(radians)],
             _ => [libm::cos(f64::from(radians)) as f32, libm::sin(f64::from(radians)) as f32],
         }
     }
@@ -228,11 +266,8 @@ impl Recipe {
             | Recipe::NebulaVelodyne
             | Recipe::Pandar64
             | Recipe::Apollo => ulp(radians(degrees)).to_degrees(),
-            Recipe::Nebula
-            | Recipe::Nebula2023
-            | Recipe::Once
-            | Recipe::VelodyneDecoder
-            | Recipe::VelodyneDecoderHdl32e => ulp(degrees),
+            Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => ulp(degrees),
+            _ if self.sum().is_some() => ulp(degrees),
             _ => 1e-7,
         }
     }
@@ -262,6 +297,15 @@ fn radians(degrees: f64) -> f64 {
 
 /// Radians per degree in LSLiDAR's driver.
 const LS_DEGREE: f64 = 0.017_453_293;
+
+/// In which precision a recipe adds the angle of a tick and that of a laser.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum SumPrecision {
+    /// Of angles in degrees, in double precision; the sum in radians is rounded to single precision.
+    Degrees,
+    /// Of angles in radians, in single precision.
+    Radians,
+}
 
 /// Where beams start: this far from the axis in the direction of the tick, and this far above the scanner's
 /// origin.
@@ -327,6 +371,9 @@ impl TurnTable {
             Recipe::Nebula => {
                 TurnTable::Angles(LazyTable::new(ticks, move |t| (degrees(t) * (PI / 180.0)) as f32))
             }
+            _ if recipe.sum() == Some(SumPrecision::Radians) => {
+                TurnTable::Angles(LazyTable::new(ticks, move |t| radians(degrees(t)) as f32))
+            }
             _ => {
                 let radians = move |t: u32| match recipe {
                     Recipe::LsLidar => f64::from(t) * tick * LS_DEGREE,
@@ -371,12 +418,9 @@ pub(super) enum Arithmetic {
     Tables { cos_v: f32, sin_v: f32, turned: u32, along: f32, up: f32 },
     /// As `Tables`, in double precision; also the azimuth offset in degrees, and its cosine and sine.
     Ls { cos_v: f64, sin_v: f64, turned: u32, offset: f64, offsets: [f64; 2], along: f64, up: f64 },
-    /// Cosine and sine of the elevation; the azimuth offset in radians.
-    Sum { cos_v: f32, sin_v: f32, offset: f32 },
-    /// Cosine and sine of the elevation; the azimuth offset in degrees.
-    Sum2023 { cos_v: f32, sin_v: f32, offset: f64 },
-    /// As `Sum2023`, for products in double precision.
-    Once { cos_v: f32, sin_v: f32, offset: f64 },
+    /// Cosine and sine of the elevation; the azimuth offset, to be added to the angle of the tick in radians
+    /// or degrees; the program, which decides on the precision of ranges and coordinates.
+    Sum { cos_v: f32, sin_v: f32, offset: f64, recipe: Recipe },
     /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine; where the
     /// beam starts; whether direction and start are rounded.
     Ouster { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], start: OusterStart, is_single: bool },
@@ -442,17 +486,24 @@ impl Arithmetic {
                 Arithmetic::Ls { cos_v, sin_v, turned, offset, offsets, along, up }
             }
             Recipe::Nebula => {
-                let [cos_v, sin_v] = recipe.cos_sin(laser.elevation_degrees() as f32 * DEGREE);
-                Arithmetic::Sum { cos_v, sin_v, offset: laser.azimuth_degrees() as f32 * DEGREE }
+                let single = |degrees: f64| degrees as f32 * DEGREE;
+                let [cos_v, sin_v] = recipe.cos_sin(single(laser.elevation_degrees()));
+                Arithmetic::Sum { cos_v, sin_v, offset: single(laser.azimuth_degrees()).into(), recipe }
             }
-            Recipe::Nebula2023 | Recipe::Once => {
-                let single = f64::from(laser.elevation_degrees() as f32);
-                let [cos_v, sin_v] = recipe.cos_sin(radians(single) as f32);
-                let offset = f64::from(laser.azimuth_degrees() as f32);
-                match recipe {
-                    Recipe::Once => Arithmetic::Once { cos_v, sin_v, offset },
-                    _ => Arithmetic::Sum2023 { cos_v, sin_v, offset },
-                }
+            Recipe::Nebula2025
+            | Recipe::NebulaJune2023Pandar40
+            | Recipe::NebulaJanuary2023
+            | Recipe::NebulaApril2023
+            | Recipe::NebulaApril2023Pandar40
+            | Recipe::Once => {
+                let [elevation, azimuth] =
+                    [laser.elevation_degrees(), laser.azimuth_degrees()].map(|angle| f64::from(angle as f32));
+                let [cos_v, sin_v] = recipe.cos_sin(radians(elevation) as f32);
+                let offset = match recipe.sum() {
+                    Some(SumPrecision::Radians) => f64::from(radians(azimuth) as f32),
+                    _ => azimuth,
+                };
+                Arithmetic::Sum { cos_v, sin_v, offset, recipe }
             }
             Recipe::Ouster | Recipe::OusterRos | Recipe::OusterEarly => Arithmetic::Ouster {
                 cos_v: libm::cos(elevation),
@@ -474,10 +525,11 @@ impl Arithmetic {
             Arithmetic::Single { is_turned: false, .. } | Arithmetic::Tables { .. } => {
                 self.single(turn, tick, single)
             }
-            Arithmetic::Single { .. } | Arithmetic::Sum { .. } | Arithmetic::Sum2023 { .. } => {
-                self.single(turn, tick, double as f32)
+            Arithmetic::Single { .. } => self.single(turn, tick, double as f32),
+            Arithmetic::Sum { recipe: Recipe::NebulaJune2023Pandar40, .. } => {
+                self.sum(turn, tick, single.into())
             }
-            Arithmetic::Once { .. } => self.once(turn, tick, double),
+            Arithmetic::Sum { .. } => self.sum(turn, tick, double),
             Arithmetic::Double { .. } | Arithmetic::Ls { .. } => {
                 let metres = self.metres(steps, range_step_um);
                 self.double_by_table(turn, tick, metres)
@@ -699,20 +751,32 @@ impl Arithmetic {
                 let [direction, start] = self.ray(turn, tick);
                 [0, 1, 2].map(|axis| metres * 1e3 * direction[axis] + start[axis])
             }
-            Arithmetic::Once { .. } => self.once(turn, tick, metres).map(f64::from),
+            Arithmetic::Sum { .. } => self.sum(turn, tick, metres).map(f64::from),
             _ => self.single(turn, tick, metres as f32).map(f64::from),
         }
     }
 
-    /// The coordinates of the ONCE data set.
-    fn once(&self, turn: &TurnTable, tick: u32, metres: f64) -> [f32; 3] {
-        let (Arithmetic::Once { cos_v, sin_v, offset }, TurnTable::Degrees(degrees, _)) = (self, turn) else {
-            return [0.0; 3];
+    /// The coordinates by the recipes that take cosine and sine of a sum of angles.
+    fn sum(&self, turn: &TurnTable, tick: u32, metres: f64) -> [f32; 3] {
+        let Arithmetic::Sum { cos_v, sin_v, offset, recipe } = *self else { return [0.0; 3] };
+        let angle = match turn {
+            TurnTable::Angles(angles) => *angles.get(tick) + offset as f32,
+            TurnTable::Degrees(degrees, _) => radians(offset + f64::from(tick) / (1.0 / degrees)) as f32,
+            TurnTable::Tables(_) => return [0.0; 3],
         };
-        let angle = radians(offset + f64::from(tick) / (1.0 / degrees)) as f32;
-        let [cos, sin] = glibc::old_cos_sin(angle).map(f64::from);
-        let flat = metres * f64::from(*cos_v);
-        [(flat * sin) as f32, (flat * cos) as f32, (metres * f64::from(*sin_v)) as f32]
+        let [cos, sin] = recipe.cos_sin(angle);
+        let single = metres as f32;
+        let metres = match recipe {
+            Recipe::Once | Recipe::NebulaApril2023Pandar40 => metres,
+            Recipe::NebulaApril2023 => single.into(),
+            _ => {
+                let flat = single * cos_v;
+                return [flat * sin, flat * cos, single * sin_v];
+            }
+        };
+        let [cos_v, sin_v, cos, sin] = [cos_v, sin_v, cos, sin].map(f64::from);
+        let flat = metres * cos_v;
+        [flat * sin, flat * cos, metres * sin_v].map(|metres| metres as f32)
     }
 
     /// The coordinates computed in single precision.
@@ -727,16 +791,6 @@ impl Arithmetic {
                 let [cos_t, sin_t] = *table.get(tick);
                 let flat = metres * cos_v;
                 [flat * cos + along * cos_t, -flat * sin - along * sin_t, metres * sin_v + up]
-            }
-            (Arithmetic::Sum { cos_v, sin_v, offset }, TurnTable::Angles(angles)) => {
-                let angle = *angles.get(tick) + offset;
-                let flat = metres * cos_v;
-                [flat * glibc::sinf(angle), flat * glibc::cosf(angle), metres * sin_v]
-            }
-            (Arithmetic::Sum2023 { cos_v, sin_v, offset }, TurnTable::Degrees(degrees, _)) => {
-                let angle = radians(offset + f64::from(tick) / (1.0 / degrees)) as f32;
-                let flat = metres * cos_v;
-                [flat * glibc::sinf(angle), flat * glibc::cosf(angle), metres * sin_v]
             }
             _ => [0.0; 3],
         }
@@ -909,9 +963,7 @@ mod tests {
             for number in 0..40 {
                 let ticks = [36_000, 1024, 4000, 7][number % 4];
                 let turn = TurnTable::new(recipe, ticks);
-                if !matches!(turn, TurnTable::Degrees(..))
-                    || matches!(recipe, Recipe::Nebula2023 | Recipe::Once)
-                {
+                if !matches!(turn, TurnTable::Degrees(..)) || recipe.sum().is_some() {
                     continue;
                 }
                 let mut angle = |most: usize| random.below(2 * most) as i64 - most as i64;
