@@ -582,19 +582,18 @@ impl Tried<'_> {
     }
 
     /// The errors of offsets in whole thousandths of degrees that reproduce the most of these points, the
-    /// likeliest first, with the numbers of points: at least `least`, and nearly the most.
+    /// likeliest first, with the numbers of points: at least `least`. Of those that reproduce fewer than
+    /// another, not all are returned.
     fn near_likeliest(
         &self,
         all: impl Iterator<Item = i32>,
         points: &[Vec<Point>],
         least: usize,
     ) -> Vec<(usize, i32)> {
-        /// One in so many points more may be missed than with the likeliest.
-        const MISSED: usize = 16;
         let mut most = 0;
         let counted = all.filter_map(|common| {
-            let count = self.count(common, true, points, least.max(most - most / MISSED))?;
-            most = most.max(count);
+            let count = self.count(common, true, points, least.max(most))?;
+            most = count;
             Some((count, common))
         });
         let mut likely: Vec<(usize, i32)> = counted.collect();
