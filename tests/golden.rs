@@ -343,16 +343,31 @@ fn recipes() -> Vec<Recipe> {
         EncoderConfig::default(),
     );
     exact("firings-once", || firings_files(firings::Recipe::Once, Cells::Returns), EncoderConfig::default());
-    let nebula: [(&str, fn() -> Vec<File>); 5] = [
-        ("january-2023", || firings_files(firings::Recipe::NebulaJanuary2023, Cells::Returns)),
-        ("april-2023", || firings_files(firings::Recipe::NebulaApril2023, Cells::Returns)),
-        ("april-2023-pandar40", || firings_files(firings::Recipe::NebulaApril2023Pandar40, Cells::Returns)),
-        ("june-2023-pandar40", || firings_files(firings::Recipe::NebulaJune2023Pandar40, Cells::Returns)),
-        ("2025", || firings_files(firings::Recipe::Nebula2025, Cells::Returns)),
-    ];
-    for (version, files) in nebula {
-        exact(&format!("firings-nebula-{version}"), files, EncoderConfig::default());
-    }
+    exact(
+        "firings-nebula-january-2023",
+        || firings_files(firings::Recipe::NebulaJanuary2023, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-nebula-april-2023",
+        || firings_files(firings::Recipe::NebulaApril2023, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-nebula-april-2023-pandar40",
+        || firings_files(firings::Recipe::NebulaApril2023Pandar40, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-nebula-june-2023-pandar40",
+        || firings_files(firings::Recipe::NebulaJune2023Pandar40, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-nebula-2025",
+        || firings_files(firings::Recipe::Nebula2025, Cells::Returns),
+        EncoderConfig::default(),
+    );
     exact(
         "firings-focal-point",
         || firings_files(firings::Recipe::VelodyneDecoder, Cells::Returns),

@@ -559,16 +559,17 @@ impl Tried<'_> {
         }
         let all = std::iter::once(0).chain(Self::rising(FARTHEST));
         let common = if are_thousandths && !are_moved {
-            // No more of these points may be missed than of all points, and with the right error most are
-            // reproduced.
             let size: usize = fewer.iter().map(Vec::len).sum();
-            let least = size.saturating_sub(points - least.min(points)).max(size * 3 / 4).max(1);
-            let likely = self.near_likeliest(all, &fewer, least);
+            // With the right error most points are reproduced.
+            let most_of = (size * 3 / 4).max(1);
             if adds_degrees {
-                likely.first().map_or(0, |(_, common)| *common)
+                self.best_errors(all, &fewer, most_of).first().copied().unwrap_or(0)
             } else {
+                // No more of these points may be missed than of all points.
+                let least = size.saturating_sub(points - least.min(points)).max(most_of);
                 let more: Vec<Vec<Point>> = self.rows.iter().map(|&row| more_of_rows[row].clone()).collect();
-                let best = likely.into_iter().fold((0, 0), |best, (_, common)| {
+                let errors = self.best_errors(all, &fewer, least).into_iter();
+                let best = errors.fold((0, 0), |best, common| {
                     self.count(common, true, &more, best.0 + 1).map_or(best, |count| (count, common))
                 });
                 best.1
@@ -581,25 +582,19 @@ impl Tried<'_> {
         if sum >= exact { (common, sum) } else { (0, exact) }
     }
 
-    /// The errors of offsets in whole thousandths of degrees that reproduce the most of these points, the
-    /// likeliest first, with the numbers of points: at least `least`. Of those that reproduce fewer than
-    /// another, not all are returned.
-    fn near_likeliest(
-        &self,
-        all: impl Iterator<Item = i32>,
-        points: &[Vec<Point>],
-        least: usize,
-    ) -> Vec<(usize, i32)> {
-        let mut most = 0;
-        let counted = all.filter_map(|common| {
-            let count = self.count(common, true, points, least.max(most))?;
-            most = count;
-            Some((count, common))
-        });
-        let mut likely: Vec<(usize, i32)> = counted.collect();
-        likely.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
-        likely.truncate(LIKELIEST);
-        likely
+    /// The errors of offsets in whole thousandths of degrees that reproduce the most of these points, but at
+    /// least `least`: the first ones, if there are many.
+    fn best_errors(&self, all: impl Iterator<Item = i32>, points: &[Vec<Point>], least: usize) -> Vec<i32> {
+        let (mut most, mut best) = (least, Vec::new());
+        for common in all {
+            let Some(count) = self.count(common, true, points, most) else { continue };
+            if count > most {
+                (most, best) = (count, Vec::new());
+            }
+            best.push(common);
+        }
+        best.truncate(LIKELIEST);
+        best
     }
 
     /// The number of these points of the rows that are reproduced if all offsets are wrong by this number of
