@@ -242,8 +242,8 @@ impl Constants<'_> {
         Some(LaserFit { recipe: bare.build.recipe, lasers, are_turned })
     }
 
-    /// What lasers are worth: the number of points that they reproduce to the last bit, in hundredths; more for
-    /// those of lasers whose constants have few digits, which is likely with the right recipe only.
+    /// What lasers are worth: the number of points that they reproduce to the last bit, in hundredths; more
+    /// for those of lasers whose constants have few digits, which is likely with the right recipe only.
     fn worth(&self, bare: &Firings, lasers: &[Laser]) -> usize {
         let of_row = |(laser, points): (&Laser, &Vec<Point>)| {
             let round = [laser.elevation, laser.azimuth].map(|angle| usize::from(is_thousandth(angle)));
@@ -253,8 +253,8 @@ impl Constants<'_> {
     }
 
     /// The constants of a laser, given its azimuth offset in degrees, as accurately as its points determine
-    /// them. The offset `may_turn` out to be wrong by whole ticks of its own, because there were too few points
-    /// or because ticks pass until the laser fires.
+    /// them. If `may_turn`, the offset may be wrong by whole ticks of its own, because there were too few
+    /// points or because ticks pass until the laser fires.
     fn laser_of(&self, bare: &Firings, row: usize, offset: f64, may_turn: bool) -> Laser {
         let (elevations, _) = self.elevations(bare, row, 0);
         let (mut laser, exact) = self.laser_among(bare, row, offset, &elevations, 0);

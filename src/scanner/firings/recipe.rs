@@ -67,7 +67,8 @@ pub enum Recipe {
     /// As `Nebula`, in its versions from June 2023 to 2025: it converts constants to radians in double
     /// precision.
     Nebula2025 = 19,
-    /// As `Nebula2025`, in its version of June 2023 for the Pandar40P: ranges are products in single precision.
+    /// As `Nebula2025`, in its version of June 2023 for the Pandar40P: ranges are products in single
+    /// precision.
     NebulaJune2023Pandar40 = 20,
     /// As `NebulaJanuary2023`, in the version of April 2023: coordinates are products in double precision.
     NebulaApril2023 = 21,
