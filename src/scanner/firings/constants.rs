@@ -561,12 +561,12 @@ impl Tried<'_> {
         let common = if are_thousandths && !are_moved {
             let size: usize = fewer.iter().map(Vec::len).sum();
             // With the right error most points are reproduced.
-            let most_of = (size * 3 / 4).max(1);
+            let fewest = (size * 3 / 4).max(1);
             if adds_degrees {
-                self.best_errors(all, &fewer, most_of).first().copied().unwrap_or(0)
+                self.best_errors(all, &fewer, fewest).first().copied().unwrap_or(0)
             } else {
                 // No more of these points may be missed than of all points.
-                let least = size.saturating_sub(points - least.min(points)).max(most_of);
+                let least = size.saturating_sub(points - least.min(points)).max(fewest);
                 let more: Vec<Vec<Point>> = self.rows.iter().map(|&row| more_of_rows[row].clone()).collect();
                 let errors = self.best_errors(all, &fewer, least).into_iter();
                 let best = errors.fold((0, 0), |best, common| {
