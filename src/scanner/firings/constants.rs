@@ -283,7 +283,7 @@ impl Constants<'_> {
             let lasers = elevations
                 .flat_map(|elevation| written(offsets[row]).map(move |azimuth| Laser { elevation, azimuth }));
             let none = lasers.clone().last().unwrap_or_default();
-            best_of(&bare, lasers, &self.more_of_rows[row], none).0
+            best_of(&bare, lasers, &self.more_of_rows[row], (none, 0)).0
         };
         let lasers = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
         LaserFit { recipe, lasers, are_turned: false }
@@ -310,18 +310,28 @@ impl Constants<'_> {
     /// elevations of equal sine.
     fn of_sums(&self, bare: &Firings, row: usize, laser: Laser) -> Laser {
         let points = &self.more_of_rows[row];
-        let sharpest = |laser: Laser| sharpest(bare, laser, points, &self.near_axes[row]);
-        let first = sharpest(laser);
-        if first.1 == points.len() {
-            return first.0;
+        // Constants of few digits that reproduce most points are right: other points have another cause.
+        if is_thousandth(laser.elevation) && is_thousandth(laser.azimuth) {
+            let least = points.len() * 97 / 100;
+            if exact_points(bare, laser, points, 0..3, least) >= least {
+                return laser;
+            }
         }
-        let step = bare.build.recipe.angle_step(laser.elevation_degrees()) / ANGLE_UNIT;
-        let steps = (1..=SAME as i32).flat_map(|steps| [steps, -steps]);
-        let others = steps.map(|steps| laser.elevation + (f64::from(steps) * step).round() as i64);
-        let others = others.map(|elevation| Laser { elevation, ..laser });
-        let high = exact_points(bare, laser, points, 2..3, 0);
-        let same_sine = others.filter(|other| exact_points(bare, *other, points, 2..3, high) >= high);
-        same_sine.map(sharpest).fold(first, |best, next| if next.1 > best.1 { next } else { best }).0
+        let mut best = polished(bare, (laser, 0), points);
+        if best.1 < points.len() {
+            let step = bare.build.recipe.angle_step(laser.elevation_degrees()) / ANGLE_UNIT;
+            let steps = (1..=SAME as i32).flat_map(|steps| [steps, -steps]);
+            let others = steps.map(|steps| laser.elevation + (f64::from(steps) * step).round() as i64);
+            let high = exact_points(bare, laser, points, 2..3, 0);
+            for elevation in others {
+                let other = Laser { elevation, ..laser };
+                if exact_points(bare, other, points, 2..3, high) >= high {
+                    let polished = polished(bare, (other, best.1), points);
+                    best = if polished.1 > best.1 { polished } else { best };
+                }
+            }
+        }
+        sharpest(bare, best, points, &self.near_axes[row])
     }
 
     /// The constants of a laser whose azimuth offset, in degrees, is wrong by an unknown number of whole
@@ -337,7 +347,7 @@ impl Constants<'_> {
         }
         let off = (1..=MOST).flat_map(|ticks| [ticks, -ticks]).map(|ticks| offset + f64::from(ticks) * tick);
         let lasers = off.clone().map(|degrees| Laser { azimuth: roundings(degrees)[0], ..laser });
-        let (best, _) = best_of(bare, lasers, points, laser);
+        let (best, _) = best_of(bare, lasers, points, (laser, 0));
         let (other, others) = self.laser_among(bare, row, best.azimuth_degrees(), elevations, exact);
         // A chance match, or another recipe, does not reproduce most points.
         if others > exact && 4 * others >= 3 * points.len() { (other, others) } else { (laser, exact) }
@@ -631,7 +641,7 @@ impl Tried<'_> {
         let more: Vec<Vec<Point>> = self.rows.iter().map(|&row| more_of_rows[row].clone()).collect();
         let polished = |common: i32, (&row, (laser, _)): (&usize, &(Laser, usize))| {
             let azimuth = (self.offset(row, common) / ANGLE_UNIT).round() as i64;
-            polished(self.bare, Laser { azimuth, ..*laser }, &of_rows[row]).1
+            polished(self.bare, (Laser { azimuth, ..*laser }, 0), &of_rows[row]).1
         };
         let count = |common: i32| match are_moved {
             true => self.count(common, true, &more, 0).unwrap_or(0),
@@ -652,39 +662,37 @@ fn first_of_equals<T>(all: Vec<T>, worth: impl Fn(&T) -> usize) -> Option<T> {
 }
 
 /// The laser with an azimuth offset near the given one that reproduces the most points to the last bit, and
-/// how many.
-fn polished(bare: &Firings, laser: Laser, points: &[Point]) -> (Laser, usize) {
+/// how many: the given one if none reproduces more than the given number.
+fn polished(bare: &Firings, (laser, exact): (Laser, usize), points: &[Point]) -> (Laser, usize) {
     /// Steps to either side.
     const FARTHEST: i64 = 12;
     let steps = std::iter::once(0).chain((1..=FARTHEST).flat_map(|steps| [steps, -steps]));
     let tried = steps.map(|steps| Laser { azimuth: laser.azimuth + steps * AZIMUTH_STEP as i64, ..laser });
-    best_of(bare, tried, points, laser)
+    best_of(bare, tried, points, (laser, exact))
 }
 
-/// The same, to the last bit of the offset in degrees. Points near the axes determine it, because sums of
-/// angles are small there.
-fn sharpest(bare: &Firings, laser: Laser, points: &[Point], near_axes: &[Point]) -> (Laser, usize) {
+/// The offset of a laser to the last bit in degrees, unless it then reproduces fewer than `exact` points. Those
+/// near the axes determine it, because sums of angles are small there.
+fn sharpest(bare: &Firings, (laser, exact): (Laser, usize), points: &[Point], near_axes: &[Point]) -> Laser {
     /// Units to either side.
     const FARTHEST: f64 = 4.0 * AZIMUTH_STEP;
-    let (laser, exact) = polished(bare, laser, points);
     let step = (bare.build.recipe.angle_step(laser.azimuth_degrees()) / ANGLE_UNIT).max(1.0);
     let steps = (1..=(FARTHEST / step) as i32).flat_map(|steps| [steps, -steps]);
     let azimuths =
         std::iter::once(0).chain(steps).map(|steps| laser.azimuth + (f64::from(steps) * step) as i64);
-    let best = best_of(bare, azimuths.map(|azimuth| Laser { azimuth, ..laser }), near_axes, laser).0;
-    let exact_so = exact_points(bare, best, points, 0..3, exact);
-    if exact_so >= exact { (best, exact_so) } else { (laser, exact) }
+    let (best, _) = best_of(bare, azimuths.map(|azimuth| Laser { azimuth, ..laser }), near_axes, (laser, 0));
+    if exact_points(bare, best, points, 0..3, exact) >= exact { best } else { laser }
 }
 
-/// The laser that reproduces the most points to the last bit, the first one on ties, and how many; `none` if
-/// no laser reproduces any.
+/// The laser that reproduces the most points to the last bit, the first one on ties, and how many; `best` if
+/// none reproduces more than that one.
 pub(super) fn best_of(
     bare: &Firings,
     lasers: impl Iterator<Item = Laser>,
     points: &[Point],
-    none: Laser,
+    best: (Laser, usize),
 ) -> (Laser, usize) {
-    lasers.fold((none, 0), |best, laser| {
+    lasers.fold(best, |best, laser| {
         let exact = exact_points(bare, laser, points, 0..3, best.1 + 1);
         if exact > best.1 { (laser, exact) } else { best }
     })

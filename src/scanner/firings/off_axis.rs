@@ -494,7 +494,7 @@ fn sharpened(bare: &Firings, lasers: &[Laser], points: &[Point]) -> Option<Laser
     }
     let beside = (-2..=2).flat_map(|azimuth| (-1..=1).map(move |elevation| (azimuth, elevation)));
     let beside = beside.map(|(azimuth, elevation)| moved(&best.1, azimuth, elevation));
-    Some(best_of(bare, std::iter::once(best.1).chain(beside), &more, best.1).0)
+    Some(best_of(bare, std::iter::once(best.1).chain(beside), &more, (best.1, 0)).0)
 }
 
 /// The distance from the axis and the height at which the lines of the lasers cross, in metres; `None` if

@@ -434,5 +434,5 @@ fn ouster_laser(bare: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) 
         elevations
             .flat_map(move |elevation| around(laser.azimuth).map(|azimuth| Laser { elevation, azimuth }))
     });
-    best_of(bare, near, &more, Laser { elevation, azimuth: 0 })
+    best_of(bare, near, &more, (Laser { elevation, azimuth: 0 }, 0))
 }
