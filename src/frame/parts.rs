@@ -62,6 +62,8 @@ pub struct FrameParts {
     pub order: OrderExceptions,
     /// The channels of the records, in the order of the file.
     pub channels: Vec<Channel>,
+    /// The cells of the images by which channels are coded.
+    pub image_cells_of_channels: u64,
     /// The file's bytes, if the whole frame is coded as bytes.
     pub whole: Option<WholeFile>,
     /// The axes of the file; all positions here have those of the scanner.
@@ -89,11 +91,11 @@ struct Origin {
 }
 
 impl FrameParts {
-    /// Bytes of the records, or cells of the range image if these are more: what a decoder allocates in
-    /// addition to the file.
+    /// Bytes of the records, or cells of the range image or of the channels' images if these are more: what a
+    /// decoder allocates in addition to the file.
     pub fn unfolded_bytes(&self) -> u64 {
         let records = self.records as u64 * self.layout.stride() as u64;
-        records.max(self.image.steps.cells().len() as u64)
+        records.max(self.image.steps.cells().len() as u64).max(self.image_cells_of_channels)
     }
 
     /// A frame with `records` records of which nothing else is known yet.

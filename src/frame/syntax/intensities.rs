@@ -130,7 +130,8 @@ impl IntensityModels {
         };
         let bytes = coded.iter().flat_map(|&index| values[index].to_le_bytes()).collect();
         let mut channels = [Channel { field: Field::new("intensity", Scalar::F32), bytes }];
-        self.rough.code(coder, &mut channels, &context, level)?;
+        // One column, whose image is no larger than the range image.
+        self.rough.code(coder, &mut channels, &context, level, u64::MAX)?;
         let [Channel { bytes, .. }] = channels;
         for (&index, value) in coded.iter().zip(bytes.chunks_exact(4).map(LittleEndian::read_f32)) {
             values[index] = value;

@@ -99,7 +99,8 @@ impl ColumnModel {
         let scale = Scale::of(scalar, values);
         let has_exceptions = scale.grid(scalar).misses_any(values);
         let plain = Integers { scale, has_exceptions, ..Integers::default() };
-        if let Some(plan) = self.same_kind(plain, scalar, values) {
+        let may_have_image = sources.images.check().is_ok();
+        if let Some(plan) = self.same_kind(plain, scalar, values).filter(|_| may_have_image) {
             return Choice::sure(plan, 1);
         }
         // Times since the start of a scan in single precision are the most accurate there.
@@ -137,7 +138,11 @@ impl ColumnModel {
         let sample = gather(values, size, &sampled);
         let bytes = self.size_of(&Plan::Integers(best), &sources.part(&sampled).sources(), scalar, &sample);
         let bytes = bytes.saturating_mul(values.len()) / sample.len().max(1);
-        let of_neighbours = self.likely_by_neighbours(plain, sources, scalar, values).into_iter();
+        let of_neighbours = match may_have_image {
+            true => self.likely_by_neighbours(plain, sources, scalar, values),
+            false => Vec::new(),
+        };
+        let of_neighbours = of_neighbours.into_iter();
         let sized = of_neighbours.map(|plan| (self.size_of(&plan, sources, scalar, values), plan));
         if let Some((bytes, plan)) = sized.min_by_key(|(bytes, _)| *bytes).filter(|(least, _)| *least < bytes)
         {

@@ -62,6 +62,9 @@ impl ColumnModel {
             }
             self.last_plan = Some(plan);
         }
+        if plan.has_image() {
+            sources.images.check()?;
+        }
         match plan {
             Plan::Constant => {
                 let mut value = [0; 8];
@@ -289,7 +292,7 @@ impl OffModel {
 }
 
 fn no_source() -> Error {
-    Error::corrupt("channels: a column is told by one that is not there")
+    Error::corrupt("channels: a column that depends on one that does not exist")
 }
 
 /// The key of every record.

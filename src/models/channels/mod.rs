@@ -29,7 +29,7 @@ use crate::ground::error::{Error, Result};
 use crate::scan::{Channel, Field, Scalar};
 
 /// Fields with more values than this are coded as bytes.
-const MOST_ELEMENTS: u32 = 8;
+const MOST_ELEMENTS: usize = 8;
 
 /// Largest number of columns that have models of their own.
 const MOST_COLUMNS: usize = 64;
@@ -60,6 +60,12 @@ impl RecordContext {
     fn size(&self) -> (usize, usize) {
         let highest = |numbers: &[u32]| numbers.iter().max().map_or(0, |&number| number as usize);
         (highest(&self.rows), highest(&self.columns))
+    }
+
+    /// The cells of the image of a column, with a row and a column for records without a cell.
+    fn cells(&self) -> u64 {
+        let (rows, columns) = self.size();
+        (rows as u64 + 1).saturating_mul(columns as u64 + 1)
     }
 
     /// The row and column of a record, counted from 1; 0 if it has none.
@@ -107,35 +113,34 @@ impl Shape {
 
 impl ChannelsModel {
     /// Codes the values of channels; a decoder passes zeros of the same length. `level` is the effort of an
-    /// encoder.
+    /// encoder. The images of all columns have at most `most_cells` cells. Returns their number, 0 if no
+    /// column is coded by one.
     ///
     /// # Errors
-    /// If a decoder's input does not contain valid channels.
+    /// If a decoder's input does not contain valid channels, or if images are too large.
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
         channels: &mut [Channel],
         context: &RecordContext,
         level: Level,
-    ) -> Result<()> {
+        most_cells: u64,
+    ) -> Result<u64> {
         let mut order: Vec<usize> = (0..channels.len()).collect();
         order.sort_by_key(|&channel| channels[channel].field.scalar.size());
+        let models = models_of_columns(order.iter().map(|&channel| channels[channel].field.count as usize));
+        let columns = models.last().map_or(0, |models| models.end);
+        if self.columns.len() < columns {
+            self.columns.resize_with(columns, ColumnModel::default);
+        }
+        let images = ImageSize { cells: context.cells().saturating_mul(columns as u64), most: most_cells };
         let bytes_model = self.bytes.get_or_insert_with(ByteModel::small);
         self.trials.resize(channels.len(), Trial::Open);
-        let mut columns = 0;
         let mut known = Vec::new();
-        for channel in order {
-            let Channel { field, .. } = &channels[channel];
-            let scalar = field.scalar;
-            let has_columns = field.count <= MOST_ELEMENTS && columns + field.count as usize <= MOST_COLUMNS;
-            let count = if has_columns { field.count as usize } else { 0 };
-            let models = columns..columns + count;
-            columns += count;
-            if self.columns.len() < columns {
-                self.columns.resize_with(columns, ColumnModel::default);
-            }
+        for (channel, models) in order.into_iter().zip(models) {
+            let scalar = channels[channel].field.scalar;
             let mut bytes = std::mem::take(&mut channels[channel].bytes);
-            let sources = Sources { channels: &*channels, known: &known, context };
+            let sources = Sources { channels: &*channels, known: &known, context, images };
             let mut coding = ChannelCoder {
                 columns: &mut self.columns[models],
                 trial: &mut self.trials[channel],
@@ -148,7 +153,36 @@ impl ChannelsModel {
             channels[channel].bytes = bytes;
             known.push(channel);
         }
-        Ok(())
+        let has_images = self.columns.iter().any(|model| model.last_plan().is_some_and(Plan::has_image));
+        Ok(if has_images { images.cells } else { 0 })
+    }
+}
+
+/// The models of the columns of each field, given the number of its elements: none if there are too many.
+fn models_of_columns(counts: impl Iterator<Item = usize>) -> Vec<Range<usize>> {
+    let models = counts.scan(0, |columns, count| {
+        let has_columns = count <= MOST_ELEMENTS && *columns + count <= MOST_COLUMNS;
+        let models = *columns..*columns + if has_columns { count } else { 0 };
+        *columns = models.end;
+        Some(models)
+    });
+    models.collect()
+}
+
+/// The size of the images of all columns of a frame, in cells.
+#[derive(Clone, Copy)]
+struct ImageSize {
+    /// What they have if all columns are coded by one.
+    cells: u64,
+    /// What they may have.
+    most: u64,
+}
+
+impl ImageSize {
+    /// # Errors
+    /// If columns may not be coded by images.
+    fn check(self) -> Result<()> {
+        Error::check_limit("cells of the images of channels", self.cells, self.most).map(drop)
     }
 }
 
@@ -158,6 +192,7 @@ struct Sources<'a> {
     /// The channels that are already coded.
     known: &'a [usize],
     context: &'a RecordContext,
+    images: ImageSize,
 }
 
 impl Sources<'_> {
@@ -188,6 +223,7 @@ impl Sources<'_> {
         OwnedSources {
             channels: channels.collect(),
             known: self.known.to_vec(),
+            images: self.images,
             context: RecordContext {
                 rows: part(&context.rows, records),
                 columns: part(&context.columns, records),
@@ -266,11 +302,13 @@ struct OwnedSources {
     channels: Vec<Channel>,
     known: Vec<usize>,
     context: RecordContext,
+    images: ImageSize,
 }
 
 impl OwnedSources {
     fn sources(&self) -> Sources<'_> {
-        Sources { channels: &self.channels, known: &self.known, context: &self.context }
+        let OwnedSources { channels, known, context, images } = self;
+        Sources { channels, known, context, images: *images }
     }
 }
 

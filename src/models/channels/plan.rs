@@ -156,6 +156,11 @@ impl Integers {
 }
 
 impl Plan {
+    /// Whether values have neighbours in an image.
+    pub fn has_image(self) -> bool {
+        matches!(self, Plan::Levels(_) | Plan::Image(_))
+    }
+
     /// Codes the choice; a decoder passes any plan.
     ///
     /// # Errors

@@ -20,10 +20,12 @@ fn frames_round_trip(frames: &[(&[Channel], &RecordContext)]) -> Vec<usize> {
     let (mut writer, mut reader) = (ChannelsModel::default(), ChannelsModel::default());
     let sizes = frames.iter().map(|&(channels, context)| {
         let mut encoder = ArithmeticEncoder::default();
-        writer.code(&mut encoder, &mut channels.to_vec(), context, Level::default()).unwrap();
+        writer.code(&mut encoder, &mut channels.to_vec(), context, Level::default(), u64::MAX).unwrap();
         let bytes = encoder.finish();
         let mut decoded = empty(channels);
-        reader.code(&mut ArithmeticDecoder::new(&bytes), &mut decoded, context, Level::default()).unwrap();
+        reader
+            .code(&mut ArithmeticDecoder::new(&bytes), &mut decoded, context, Level::default(), u64::MAX)
+            .unwrap();
         assert_eq!(decoded, channels);
         bytes.len()
     });
@@ -248,13 +250,19 @@ fn what_repeats_far_away_is_compressed() {
         let channels = [Channel { field: field.clone(), bytes: bytes.clone() }];
         let mut encoder = ArithmeticEncoder::default();
         ChannelsModel::default()
-            .code(&mut encoder, &mut channels.clone(), &RecordContext::default(), level)
+            .code(&mut encoder, &mut channels.clone(), &RecordContext::default(), level, u64::MAX)
             .unwrap();
         let coded = encoder.finish();
         assert!(coded.len() < 21_000, "{} bytes", coded.len());
         let mut decoded = empty(&channels);
         ChannelsModel::default()
-            .code(&mut ArithmeticDecoder::new(&coded), &mut decoded, &RecordContext::default(), level)
+            .code(
+                &mut ArithmeticDecoder::new(&coded),
+                &mut decoded,
+                &RecordContext::default(),
+                level,
+                u64::MAX,
+            )
             .unwrap();
         assert_eq!(decoded, channels);
     }
@@ -351,7 +359,8 @@ fn frames_round_trip_by(way: Way, places: &[(u8, u8)], frames: &[Vec<f32>]) {
         columns: places.iter().map(|place| place.1.into()).collect(),
         ..RecordContext::default()
     };
-    let sources = Sources { channels: &[], known: &[], context: &context };
+    let images = ImageSize { cells: 0, most: 0 };
+    let sources = Sources { channels: &[], known: &[], context: &context, images };
     let (mut writer, mut reader) = (ColumnModel::default(), ColumnModel::default());
     for frame in frames {
         let mut bytes: Vec<u8> = frame.iter().flat_map(|value| value.to_le_bytes()).collect();
@@ -363,6 +372,36 @@ fn frames_round_trip_by(way: Way, places: &[(u8, u8)], frames: &[Vec<f32>]) {
         reader.code(&mut decoder, &plan, &sources, Scalar::F32, &mut decoded).unwrap();
         assert_eq!(decoded, bytes);
     }
+}
+
+#[test]
+fn images_of_channels_have_no_more_cells_than_allowed() {
+    let levels = |n: u32| [(noise(n / 7) % 3 * 50) as u8];
+    let channels = [channel("grey", Scalar::U8, (0..RECORDS).map(levels))];
+    let context = RecordContext {
+        rows: (0..RECORDS).map(|n| n % 16 + 1).collect(),
+        columns: (0..RECORDS).map(|n| n / 16 + 1).collect(),
+        ..RecordContext::default()
+    };
+    let code = |most_cells: u64| {
+        let mut encoder = ArithmeticEncoder::default();
+        let mut model = ChannelsModel::default();
+        let cells = model.code(&mut encoder, &mut channels.clone(), &context, Level::default(), most_cells);
+        (cells.unwrap(), encoder.finish())
+    };
+    let decode = |bytes: &[u8], most_cells: u64| {
+        let (mut decoder, mut decoded) = (ArithmeticDecoder::new(bytes), empty(&channels));
+        let mut model = ChannelsModel::default();
+        model.code(&mut decoder, &mut decoded, &context, Level::default(), most_cells).map(|_| decoded)
+    };
+    let (cells, bytes) = code(u64::MAX);
+    assert_eq!(cells, 17 * (u64::from(RECORDS) / 16 + 1));
+    assert_eq!(decode(&bytes, cells).unwrap(), channels);
+    assert!(matches!(decode(&bytes, cells - 1), Err(Error::LimitExceeded { .. })));
+    // An encoder finds another way.
+    let (none, bytes) = code(cells - 1);
+    assert_eq!(none, 0);
+    assert_eq!(decode(&bytes, 0).unwrap(), channels);
 }
 
 #[test]
@@ -453,6 +492,6 @@ proptest! {
     fn any_bytes_decode_to_channels_or_an_error(bytes: Vec<u8>, channels in prop::collection::vec(any_channel(20), 1..4)) {
         let mut decoded = empty(&channels);
         let mut decoder = ArithmeticDecoder::new(&bytes);
-        drop(ChannelsModel::default().code(&mut decoder, &mut decoded, &RecordContext::default(), Level::default()));
+        drop(ChannelsModel::default().code(&mut decoder, &mut decoded, &RecordContext::default(), Level::default(), u64::MAX));
     }
 }
