@@ -1,14 +1,14 @@
 //! Recordings: after packing and unpacking, every message, channel and attachment is unchanged.
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{self, Cursor, Read};
 
 use crate::common::messages::cloud;
 use crate::common::scans::{Points, scans};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 use lidarpc::recordings::internals::{Encoding, points as points_of, scan};
-use lidarpc::recordings::{Clouds, CopySummary, TopicFilter, examine, pack, unpack};
-use lidarpc::{Decoder, Encoder, Settings};
+use lidarpc::recordings::{Clouds, CopySummary, TopicFilter, examine, pack, same_messages, unpack};
+use lidarpc::{Decoder, Encoder, Error, Settings};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, WriteOptions};
 use predicates::prelude::PredicateBooleanExt;
@@ -259,8 +259,8 @@ fn what_is_damaged_is_left_out_and_said_and_the_rest_is_taken() {
         ("CRC", flipped(at(b"hello")), 1),
         ("checksum of its data", flipped(at(b"operator")), 0),
         ("checksum of its summary", flipped(whole.len() - 38), 0),
-        ("what follows its end", with(&[&whole, &whole]), 0),
-        ("what follows its end", with(&[&whole, b"x"]), 0),
+        ("bytes after its end", with(&[&whole, &whole]), 0),
+        ("bytes after its end", with(&[&whole, b"x"]), 0),
         ("in the middle of a record", whole[..whole.len() - 1].to_vec(), 0),
         ("in the middle of a record", whole[..data_end + 13].to_vec(), 0),
         ("records after the end of its data", with(&[&whole[..data_end + 13], &message, &whole]), 0),
@@ -307,6 +307,31 @@ fn a_message_that_is_missing_is_told_by_the_statistics() {
     assert_eq!(damage, "of 2 messages that its statistics count, 1 are there");
 }
 
+/// An input that fails after the first bytes.
+struct Failing<'b>(&'b [u8]);
+
+impl Read for Failing<'_> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        if self.0.is_empty() { Err(io::Error::other("unplugged")) } else { self.0.read(out) }
+    }
+}
+
+#[test]
+fn an_input_that_fails_is_an_error_and_no_damage() {
+    let original = recording(None, true);
+    let small = packed(&original, &Settings::default(), &TopicFilter::default()).0;
+    for place in [small.len() / 3, small.len() - 4] {
+        let failing = || Failing(&small[..place]);
+        let failed = |error: Error| assert_eq!(error.to_string(), "unplugged", "at byte {place}");
+        failed(examine(failing(), true, 1, &|| ()).unwrap_err());
+        failed(unpack(failing(), Cursor::new(Vec::new()), 1, &|| ()).unwrap_err());
+        failed(same_messages(failing(), &small[..]).unwrap_err());
+        let filter = TopicFilter::default();
+        let clouds = Clouds::open(failing(), &filter).unwrap();
+        failed(clouds.map(|cloud| cloud.map(drop)).find_map(Result::err).unwrap());
+    }
+}
+
 #[test]
 fn a_damaged_cloud_is_left_out_and_those_after_it_are_taken() {
     let original = recording(None, true);
@@ -330,7 +355,7 @@ fn a_damaged_cloud_is_left_out_and_those_after_it_are_taken() {
     assert_eq!(contents(&restored).0.len() + 1, contents(&original).0.len());
     let filter = TopicFilter::default();
     let mut clouds = Clouds::open(&damaged[..], &filter).unwrap();
-    assert_eq!(clouds.by_ref().count() as u64 + 1, copied.clouds);
+    assert_eq!(clouds.by_ref().map(Result::unwrap).count() as u64 + 1, copied.clouds);
     assert!(clouds.damage().unwrap().contains("is left out"));
 }
 
@@ -340,14 +365,15 @@ fn clouds_become_a_stream_with_their_times() {
     let small = packed(&original, &Settings::default(), &TopicFilter::default()).0;
     // The clouds of the other topic are the same but big-endian, and one more without points.
     let of_rear = TopicFilter { topics: vec!["/rear/points".to_owned()] };
-    let rear: Vec<_> = Clouds::open(&original[..], &of_rear).unwrap().collect();
+    let rear: Vec<_> = Clouds::open(&original[..], &of_rear).unwrap().map(Result::unwrap).collect();
     assert_eq!(rear.iter().map(|scan| scan.len()).filter(|length| *length > 0).count(), 4);
     assert_eq!(rear[0].positions()[7], [0, 1, 2].map(|axis| turns(4)[0][7][axis]));
     for recording in [&original, &small] {
         let filter = TopicFilter { topics: vec!["/front/points".to_owned()] };
         let mut stream = Vec::new();
         let mut encoder = Encoder::new(&mut stream, Settings::default()).unwrap();
-        Clouds::open(&recording[..], &filter).unwrap().for_each(|cloud| encoder.push(cloud).unwrap());
+        let clouds = Clouds::open(&recording[..], &filter).unwrap();
+        clouds.for_each(|cloud| encoder.push(cloud.unwrap()).unwrap());
         encoder.finish().unwrap();
         let scans = Decoder::stream(&stream[..], 1).unwrap().map(Result::unwrap);
         let found: Vec<_> = scans.map(|scan| (scan.len(), scan.time())).collect();
@@ -390,6 +416,11 @@ fn the_program_packs_and_unpacks() {
         (&true.into(), &clouds(&after, "compressed").into())
     );
     lidarpc(&["verify", &path("small.mcap"), "--against", &path(".")]).code(2);
+    // An input that does not exist is named, not the output.
+    for command in ["encode", "decode"] {
+        let missing = lidarpc(&[command, &path("missing.mcap"), "-o", &path("new.mcap")]).code(1);
+        missing.stderr(predicates::str::contains("missing.mcap: does not exist"));
+    }
     // The clouds alone: as a stream, and as files.
     lidarpc(&["encode", &path("small.mcap"), "-o", &path("front.lpc"), "--topic", "/front/points"]).success();
     lidarpc(&["decode", &path("front.lpc"), "-o", &path("a")]).success();

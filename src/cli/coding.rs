@@ -6,7 +6,9 @@ use crate::article::image_coding::{ImageCodec, Rate};
 use crate::article::prediction::intra::RegionModels;
 use crate::backend::{self, Level, Packing};
 use crate::files::HeaderlessLayout;
-use crate::frame::settings::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
+use crate::frame::settings::{
+    Coder, EncoderConfig, FrameOrder, MOST_FRAMES_OF_GROUP, Mode, PredictionChoice, ProjectionKind,
+};
 use crate::frame::{Intensity, MOST_INTENSITY_STEP_MILLIONTHS, Prediction};
 use crate::ground::error::{Error, Result};
 use crate::inter::registration::RegistrationMethod;
@@ -45,7 +47,7 @@ pub struct CodingArgs {
     ///
     /// Groups are decoded independently: longer groups compress better, shorter ones allow faster random
     /// access.
-    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=100_000),
+    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=MOST_FRAMES_OF_GROUP.into()),
           hide_short_help = true, help_heading = "Coding")]
     pub gop: Option<u32>,
     /// Coder of the ranges. Default: context; in paper mode lzma.

@@ -2,8 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Write};
+use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use crate::files::{FileFormat, convert, write};
@@ -186,8 +187,9 @@ fn pack(args: &EncodeArgs, input: &Path, config: &EncoderConfig, console: Consol
     let start = Instant::now();
     let bar = console.bar(None, "packing");
     let filter = TopicFilter { topics: args.topic.clone() };
-    let (copied, output) = copy(input, args.output(), args.force, |out| {
-        recordings::pack(open(input)?, out, &Settings::of_config(config.clone()), &filter, &|| bar.inc(1))
+    let settings = Settings::of_config(config.clone());
+    let (copied, output) = copy(input, args.output(), args.force, |input, out| {
+        recordings::pack(input, out, &settings, &filter, &|| bar.inc(1))
     })?;
     bar.finish_and_clear();
     check_topics(input, &args.topic, &copied.topics)?;
@@ -213,10 +215,10 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, consol
     let bar = console.bar(None, "encoding");
     let mut output = FileOutput::binary(args.output(), args.force)?;
     let filter = TopicFilter { topics: args.topic.clone() };
-    let mut clouds =
-        Clouds::open(open(input)?, &filter).map_err(|error| about(error, &input.display().to_string()))?;
+    let at_input = |error| about(error, &input.display().to_string());
+    let mut clouds = open(input).and_then(|file| Clouds::open(file, &filter)).map_err(at_input)?;
     let frames = clouds.by_ref().map(|cloud| {
-        let (scan, stamp) = cloud.into_parts();
+        let (scan, stamp) = cloud.map_err(|error| error.at(input))?.into_parts();
         Ok(FrameInput::scan(scan).stamped(stamp))
     });
     let encoded = output.write(|out| stream::encode_live(frames, config, out, &|| bar.inc(1)));
@@ -272,8 +274,8 @@ pub fn decode(args: &DecodeArgs, console: Console) -> Result<()> {
 fn unpack(args: &DecodeArgs, input: &Path, console: Console) -> Result<CopySummary> {
     keep_inputs(args.output(), &args.inputs)?;
     let bar = console.bar(None, "unpacking");
-    let (copied, output) = copy(input, args.output(), args.force, |out| {
-        recordings::unpack(open(input)?, out, args.threads.threads, &|| bar.inc(1))
+    let (copied, output) = copy(input, args.output(), args.force, |input, out| {
+        recordings::unpack(input, out, args.threads.threads, &|| bar.inc(1))
     })?;
     bar.finish_and_clear();
     output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
@@ -293,7 +295,7 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, console: Console) -> Result<(C
     let bar = console.bar(None, "decoding");
     let mut copied = CopySummary::default();
     for (number, cloud) in clouds.by_ref().enumerate() {
-        let (mut scan, _) = cloud.into_parts();
+        let (mut scan, _) = cloud.map_err(at)?.into_parts();
         scan.name = format!("{number:06}");
         let file = convert(&scan, format).map_err(at)?;
         let bytes = folder.write(&file.name, |give| write(&file, give)).map_err(at)?;
@@ -442,22 +444,53 @@ fn open(path: &Path) -> crate::ground::error::Result<BufReader<File>> {
     Ok(BufReader::with_capacity(1 << 20, File::open(path)?))
 }
 
+/// A recording that is read, and whether that has failed: an error of the system does not tell whether it is
+/// about the input or the output.
+struct Input<'a> {
+    file: BufReader<File>,
+    has_failed: &'a AtomicBool,
+}
+
+impl Input<'_> {
+    fn noted<T>(&self, result: io::Result<T>) -> io::Result<T> {
+        self.has_failed.fetch_or(result.is_err(), Ordering::Relaxed);
+        result
+    }
+}
+
+impl Read for Input<'_> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let read = self.file.read(out);
+        self.noted(read)
+    }
+}
+
+impl Seek for Input<'_> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let place = self.file.seek(to);
+        self.noted(place)
+    }
+}
+
 /// Writes a recording that is renamed when complete.
 fn copy(
     input: &Path,
     path: &Path,
     force: bool,
-    write: impl FnOnce(&mut BufWriter<&mut File>) -> std::result::Result<CopySummary, Error>,
+    write: impl FnOnce(Input, &mut BufWriter<&mut File>) -> std::result::Result<CopySummary, Error>,
 ) -> Result<(CopySummary, FileOutput)> {
+    let at_input = |error| about(error, &input.display().to_string());
+    let has_failed = AtomicBool::new(false);
+    let reader = Input { file: open(input).map_err(at_input)?, has_failed: &has_failed };
     let mut output = FileOutput::create(path, force)?;
     let FileOutput::Temporary { file, .. } = &mut output else {
         bail!("{}: a recording needs a file that can be sought in, not a pipe", path.display());
     };
     let mut out = BufWriter::with_capacity(1 << 20, file.as_file_mut());
-    let copied = write(&mut out).map_err(|error| match error {
-        Error::Io(_) => about(error, &path.display().to_string()),
+    let copied = write(reader, &mut out).map_err(|error| match error {
+        Error::Io(_) if !has_failed.load(Ordering::Relaxed) => about(error, &path.display().to_string()),
         Error::InvalidSettings(_) => error.into(),
-        _ => about(error, &input.display().to_string()),
+        _ => at_input(error),
     })?;
     out.flush().map_err(|error| about(error.into(), &path.display().to_string()))?;
     drop(out);
@@ -470,10 +503,10 @@ fn verify(input: &Path, output: &FileOutput, copied: &CopySummary, threads: usiz
     let Some(packed) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
     let mut restored = tempfile::tempfile().map_err(|error| at(error.into()))?;
     recordings::unpack(BufReader::new(packed), &mut restored, threads, &|| ()).map_err(at)?;
-    std::io::Seek::rewind(&mut restored).map_err(|error| at(error.into()))?;
+    restored.rewind().map_err(|error| at(error.into()))?;
     let same = recordings::same_messages(open(input).map_err(at)?, BufReader::new(restored)).map_err(at)?;
     ensure!(
-        same == copied.messages,
+        same == Some(copied.messages),
         "{}: its copy decodes to something else, so it is not kept; please report this",
         input.display()
     );

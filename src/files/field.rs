@@ -59,7 +59,7 @@ pub(super) fn with_underscores(name: &str) -> String {
 }
 
 /// The largest number of fields of a record; scanners' have 3 to about 20.
-pub(super) const MOST_FIELDS: usize = 256;
+pub const MOST_FIELDS: usize = 256;
 
 /// The names of columns in files without names: those of KITTI, then numbers.
 pub(super) fn usual_names(columns: usize) -> Vec<String> {

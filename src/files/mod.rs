@@ -38,9 +38,9 @@ mod widened;
 #[cfg(feature = "cli")]
 pub use arrival::{ArrivedFile, ArrivingFrames};
 pub use convert::{FileFormat, convert, is_convertible};
+pub use field::MOST_FIELDS;
 pub use headerless::HeaderlessLayout;
 pub use point_count::with_point_count;
-
 pub use records::MOST_INTENSITY;
 
 use self::table::Table;

@@ -564,7 +564,8 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
         stages.add(&report);
         let source = frame.parameters.source;
         stages.frames += 1;
-        stages.original += source.map_or(header.file_size, |source| source.file_size);
+        let original = source.map_or(header.file_size, |source| source.file_size);
+        stages.original = stages.original.saturating_add(original);
         stages.count_sections(sections);
         let explained = scanner.filter(|_| self.judges_scanners).map(|scanner| Explained {
             points: frame.records as u64,

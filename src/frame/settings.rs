@@ -148,6 +148,9 @@ impl Default for EncoderConfig {
     }
 }
 
+/// Largest number of frames in a group, all of which are in memory before the group is encoded.
+pub const MOST_FRAMES_OF_GROUP: u32 = 100_000;
+
 /// Columns and range step of the article's range image.
 const PAPER_PROJECTION: ProjectionKind = ProjectionKind::Ideal { columns: 2000, range_step_um: 1000 };
 
@@ -306,7 +309,8 @@ impl EncoderConfig {
     /// # Errors
     /// [`Error::InvalidSettings`] names the setting that does not.
     pub fn check(&self) -> Result<()> {
-        require(self.gop > 0, "a group holds at least one frame")?;
+        let gop = 1..=MOST_FRAMES_OF_GROUP as usize;
+        require(gop.contains(&self.gop), "a group holds 1 to 100,000 frames")?;
         let needs_article = self.outliers.is_some() || matches!(self.coder, Coder::Image(_));
         require(
             cfg!(feature = "article") || !needs_article,

@@ -80,7 +80,8 @@ impl StageReport {
     /// Adds another report.
     pub fn add(&mut self, other: &StageReport) {
         self.frames += other.frames;
-        self.original += other.original;
+        // The stream tells the sizes of lossy frames' originals, and anything may stand there.
+        self.original = self.original.saturating_add(other.original);
         self.converted += other.converted;
         self.predicted += other.predicted;
         self.contour += other.contour;
@@ -148,5 +149,18 @@ impl StageReport {
                 _ => self.rest += bytes,
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::StageReport;
+
+    #[test]
+    fn sizes_that_a_stream_claims_do_not_overflow() {
+        let claimed = StageReport { original: u64::MAX, ..StageReport::default() };
+        let mut sum = claimed;
+        sum.add(&claimed);
+        assert_eq!(sum.original, u64::MAX);
     }
 }

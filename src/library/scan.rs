@@ -102,8 +102,8 @@ impl Scan {
     ///
     /// # Errors
     /// [`Error::Usage`] if the number of values differs from the number of points, if the scan already has a
-    /// channel of this name (x, y and z included), or if the name is invalid: empty, longer than 64 bytes, or
-    /// with white space.
+    /// channel of this name (x, y and z included), if it has 253 channels, or if the name is invalid: empty,
+    /// longer than 64 bytes, or with white space.
     pub fn with_channel<T: Scalar>(mut self, name: &str, values: &[T]) -> Result<Self> {
         let refuse = |what: String| Err(Error::Usage(format!("channel {name:?}: {what}")));
         if name.is_empty() || !Field::is_name(name) {
@@ -111,6 +111,9 @@ impl Scan {
         }
         if POSITION.contains(&name) || self.channels.iter().any(|channel| channel.name == name) {
             return refuse("the scan has it already".to_owned());
+        }
+        if POSITION.len() + self.channels.len() >= files::MOST_FIELDS {
+            return refuse(format!("a scan has at most {} channels", files::MOST_FIELDS - POSITION.len()));
         }
         if values.len() != self.points {
             return refuse(format!("{} values for {} points", values.len(), self.points));
@@ -312,6 +315,7 @@ fn layout_in_memory(has_positions: bool, channels: &[TypedChannel]) -> Layout {
     });
     let layout = files::plain_layout(positions.chain(others).collect());
     let mut layout = layout.unwrap_or_default();
+    layout.position = layout.position.filter(|_| has_positions);
     let values = intensity_place(&layout).and_then(|(place, _)| Some(&channels.get(place)?.values));
     if let Some(Values::U16(values)) = values
         && values.iter().any(|&value| f32::from(value) > files::MOST_INTENSITY)

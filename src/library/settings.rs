@@ -75,7 +75,7 @@ impl Settings {
     }
 
     /// Scans per group: with more, compression is better; with fewer, seeking and recovery are finer, and an
-    /// encoder writes sooner. Default: 10; 30 at level 9.
+    /// encoder writes sooner and holds fewer scans in memory. From 1 to 100,000; default: 10, or 30 at level 9.
     #[must_use]
     pub fn with_group_of_pictures(self, scans: usize) -> Self {
         Settings { group_of_pictures: Some(scans), ..self }

@@ -79,6 +79,19 @@ fn bits(scan: &Scan) -> Vec<[u32; 3]> {
 }
 
 #[test]
+fn a_scan_has_as_many_channels_as_a_record_has_fields() {
+    let with_channels = |count: usize| {
+        let scan = Scan::from_positions(&[[1.0, 2.0, 3.0]]);
+        (0..count).try_fold(scan, |scan, number| scan.with_channel(&format!("c{number}"), &[number as u8]))
+    };
+    let mut encoder = Encoder::new(Vec::new(), Settings::exact()).unwrap();
+    encoder.push(with_channels(253).unwrap()).unwrap();
+    encoder.finish().unwrap();
+    let refused = with_channels(254).unwrap_err().to_string();
+    assert!(refused.contains("at most 253 channels"), "{refused}");
+}
+
+#[test]
 fn everything_may_be_sent_to_another_thread() {
     fn assert_send<T: Send>() {}
     assert_send::<Encoder<Vec<u8>>>();

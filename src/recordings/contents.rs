@@ -30,7 +30,8 @@ impl TopicFilter {
 }
 
 /// The clouds of a recording, compressed or not, one after another, each with its time. If several channels
-/// have clouds, each is a track of its own. What is damaged is left out: see [`damage`](Self::damage).
+/// have clouds, each is a track of its own. What is damaged is left out: see [`damage`](Self::damage). If the
+/// input fails, its error is the last item.
 pub struct Clouds<'f, R> {
     records: Records<R>,
     filter: &'f TopicFilter,
@@ -94,19 +95,20 @@ impl<'f, R: Read> Clouds<'f, R> {
 }
 
 impl<R: Read> Iterator for Clouds<'_, R> {
-    type Item = Scan;
+    type Item = Result<Scan>;
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
             match self.records.next()? {
-                Record::Schema { header, .. } => drop(self.schemas.insert(header.id, header.name)),
-                Record::Channel(channel) => self.channel(&channel),
-                Record::Message { header, data } => {
+                Ok(Record::Schema { header, .. }) => drop(self.schemas.insert(header.id, header.name)),
+                Ok(Record::Channel(channel)) => self.channel(&channel),
+                Ok(Record::Message { header, data }) => {
                     if let Some(cloud) = self.cloud(&header, &data) {
-                        return Some(cloud);
+                        return Some(Ok(cloud));
                     }
                 }
-                _ => {}
+                Ok(_) => {}
+                Err(error) => return Some(Err(error)),
             }
         }
     }
@@ -167,7 +169,11 @@ pub fn examine(
     let locked = || topics.lock().unwrap_or_else(PoisonError::into_inner);
     let jobs = std::iter::from_fn(|| {
         loop {
-            match records.next()? {
+            let record = match records.next()? {
+                Ok(record) => record,
+                Err(error) => return Some(Err(error)),
+            };
+            match record {
                 Record::Schema { header, .. } => drop(schemas.insert(header.id, header.name)),
                 Record::Channel(Channel { id, schema_id, topic: name, message_encoding, .. }) => {
                     let schema = schemas.get(&schema_id).cloned().unwrap_or_default();
@@ -226,7 +232,7 @@ struct Measured {
     fidelity: String,
 }
 
-/// Decodes a compressed cloud; `None` if it is none.
+/// Decodes a compressed cloud; `None` for a message that is not one.
 ///
 /// # Errors
 /// If it is damaged.
@@ -246,34 +252,38 @@ fn measure(message: &[u8], encoding: Encoding) -> Result<Option<Measured>> {
 }
 
 /// Compares the messages of two recordings in order: topic, sequence number, times and bytes. Returns their
-/// number if all of them are the same, otherwise 0.
+/// number if all of them are the same.
 ///
 /// # Errors
 /// If one of them is not a recording, or an input fails.
-pub fn same_messages(a: impl Read, b: impl Read) -> Result<u64> {
+pub fn same_messages(a: impl Read, b: impl Read) -> Result<Option<u64>> {
     let (mut a, mut b) = (messages(Records::open(a)?), messages(Records::open(b)?));
     let mut count = 0;
     loop {
-        match (a.next(), b.next()) {
-            (None, None) => return Ok(count),
+        match (a.next().transpose()?, b.next().transpose()?) {
+            (None, None) => return Ok(Some(count)),
             (Some(a), Some(b)) if a == b => count += 1,
-            _ => return Ok(0),
+            _ => return Ok(None),
         }
     }
 }
 
-/// The messages of a recording, each with its topic.
-fn messages<R: Read>(records: Records<R>) -> impl Iterator<Item = (String, MessageHeader, Vec<u8>)> {
+/// A message with its topic.
+type TopicMessage = (String, MessageHeader, Vec<u8>);
+
+/// The messages of a recording.
+fn messages<R: Read>(records: Records<R>) -> impl Iterator<Item = Result<TopicMessage>> {
     let mut topics = HashMap::new();
     records.filter_map(move |record| match record {
-        Record::Channel(channel) => {
+        Ok(Record::Channel(channel)) => {
             topics.insert(channel.id, channel.topic);
             None
         }
-        Record::Message { header, data } => {
+        Ok(Record::Message { header, data }) => {
             let topic = topics.get(&header.channel_id).cloned().unwrap_or_default();
-            Some((topic, header, data.into_owned()))
+            Some(Ok((topic, header, data.into_owned())))
         }
-        _ => None,
+        Ok(_) => None,
+        Err(error) => Some(Err(error)),
     })
 }

@@ -146,7 +146,7 @@ fn copy<W: Write + Seek>(
     let mut out = Output::create(out, records.header.clone())?;
     let mut copied = CopySummary::default();
     let mut faults = Faults::default();
-    let jobs = std::iter::from_fn(|| Some(job(records.next()?)));
+    let jobs = std::iter::from_fn(|| Some(records.next()?.and_then(&mut job)));
     run_ordered(threads, jobs.fuse(), Job::done, |done| {
         if let Some((points, [before, after])) = done.cloud {
             copied.clouds += 1;

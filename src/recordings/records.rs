@@ -55,9 +55,9 @@ impl Faults {
     }
 }
 
-/// The records of a recording up to the end of its data, taken out of their chunks. Records that cannot be
-/// read, or that refer to others which do not exist, are left out, and reading goes on behind them: see
-/// [`faults`](Self::faults).
+/// The records of a recording up to the end of its data, taken out of their chunks. Damaged records, or those
+/// that refer to others which do not exist, are left out, and reading goes on behind them: see
+/// [`faults`](Self::faults). If the input fails, its error is the last item.
 pub struct Records<R> {
     file: Summed<BufReader<R>>,
     /// The chunk that is being read.
@@ -151,7 +151,7 @@ impl<R: Read> Records<R> {
                 }
                 op::STATISTICS => self.check_count(&record)?,
                 op::MESSAGE | op::CHUNK | op::ATTACHMENT | op::METADATA | FIRST_PRIVATE.. => {
-                    return Err(Error::Usage("records after the end of its data were not taken".to_owned()));
+                    return Err(Error::Usage("records after the end of its data are left out".to_owned()));
                 }
                 _ => {}
             }
@@ -159,7 +159,7 @@ impl<R: Read> Records<R> {
         let mut magic = [0; mcap::MAGIC.len()];
         read_whole(&mut self.file, &mut magic)?;
         if magic != mcap::MAGIC || self.file.read(&mut [0])? > 0 {
-            return Err(Error::Usage("what follows its end was not taken".to_owned()));
+            return Err(Error::Usage("bytes after its end are left out".to_owned()));
         }
         Ok(())
     }
@@ -213,7 +213,7 @@ impl<R: Read> Records<R> {
 }
 
 impl<R: Read> Iterator for Records<R> {
-    type Item = Record<'static>;
+    type Item = Result<Record<'static>>;
 
     fn next(&mut self) -> Option<Self::Item> {
         while !self.has_ended {
@@ -221,14 +221,17 @@ impl<R: Read> Iterator for Records<R> {
                 Ok(Some(record)) => match self.check(&record) {
                     Ok(()) => {
                         self.messages += u64::from(matches!(record, Record::Message { .. }));
-                        return Some(record);
+                        return Some(Ok(record));
                     }
                     Err(fault) => self.faults.add(fault),
                 },
                 Ok(None) => self.has_ended = true,
-                Err(fault) => {
-                    self.faults.add(fault);
+                Err(error) => {
                     self.has_ended = true;
+                    match error {
+                        Error::Io(_) => return Some(Err(error)),
+                        fault => self.faults.add(fault),
+                    }
                 }
             }
         }
@@ -532,11 +535,12 @@ pub fn numbers_in(input: &mut (impl Read + Seek)) -> Result<HashSet<u16>> {
     }
     let records = Records::open(&mut *input)?;
     let numbers = records.filter_map(|record| match record {
-        Record::Schema { header, .. } => Some(header.id),
-        Record::Channel(channel) => Some(channel.id),
-        _ => None,
+        Ok(Record::Schema { header, .. }) => Some(Ok(header.id)),
+        Ok(Record::Channel(channel)) => Some(Ok(channel.id)),
+        Ok(_) => None,
+        Err(error) => Some(Err(error)),
     });
-    let numbers = numbers.collect();
+    let numbers = numbers.collect::<Result<_>>()?;
     input.seek(SeekFrom::Start(0))?;
     Ok(numbers)
 }

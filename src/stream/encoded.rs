@@ -77,9 +77,10 @@ impl Encoded {
     pub(crate) fn add(&mut self, frame: FrameOfStream) {
         self.stages.add(&frame.stages);
         self.frame_stages.push(frame.stages);
-        self.points += frame.source.points;
-        self.outliers += frame.source.outliers;
-        self.lost += frame.source.lost;
+        // A resumed stream tells these numbers of its frames, and anything may stand there.
+        self.points = self.points.saturating_add(frame.source.points);
+        self.outliers = self.outliers.saturating_add(frame.source.outliers);
+        self.lost = self.lost.saturating_add(frame.source.lost);
         self.unmodelled += u64::from(!frame.is_modelled);
         self.exact += u64::from(frame.is_exact && frame.header.stamp.kind != FrameKind::Beside);
         if frame.header.stamp.kind == FrameKind::Beside {
