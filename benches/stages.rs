@@ -16,8 +16,8 @@ use lidarpc::internals::models::{
     CorrectionModel, OccupancyModel, OrderExceptions, OrderModel, PointModel, RangeContext, RangeModel,
     RangeScale,
 };
-use lidarpc::internals::scanner::hdl64::{ColumnModel, Hdl64, fit, project};
-use lidarpc::internals::scanner::{Coordinates, EXACT_RANGE_BITS, Projection, REACH};
+use lidarpc::internals::scanner::hdl64::{Hdl64, Hdl64ColumnModel, fit, project};
+use lidarpc::internals::scanner::{CoordinateGrid, EXACT_RANGE_BITS, Projection, REACH};
 
 fn stages(c: &mut Criterion) {
     for (name, scans) in drives() {
@@ -52,7 +52,7 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, scanner: &Hdl64) {
     group.bench_function("file_order", |b| b.iter(|| black_box(&image).file_order(scanner)));
     group.bench_function("columns", |b| {
         b.iter(|| {
-            ColumnModel::default().code(&mut encoder(), scanner.ticks, &mut image.columns.clone());
+            Hdl64ColumnModel::default().code(&mut encoder(), scanner.ticks, &mut image.columns.clone());
         });
     });
     group.bench_function("occupancy", |b| {
@@ -77,7 +77,7 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, scanner: &Hdl64) {
             for (found, position) in returns.iter().zip(&positions) {
                 let formula = scanner.point(found.row as usize, found.tick, found.steps);
                 let (grid, mut position) = (scanner.coordinates, *position);
-                if grid == Coordinates::Millimetre {
+                if grid == CoordinateGrid::Millimetre {
                     model.correct(&mut coder, grid, formula, &mut position);
                     continue;
                 }

@@ -11,7 +11,7 @@ use lidarpc::internals::container::{IndexedReader, Section, StreamReader};
 use lidarpc::internals::edit::{Named, PartialFiles, encode_resuming, recover, repair};
 use lidarpc::internals::files::{ArrivingFrames, FileFormat, convert, parse};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, PredictionChoice};
-use lidarpc::internals::frame::{Positions, Prediction};
+use lidarpc::internals::frame::{PositionFidelity, Prediction};
 use lidarpc::internals::ground::error::{Limits, Result};
 use lidarpc::internals::scan::{Channel, Number, PointCloud, Scalar};
 use lidarpc::internals::scanner::{REACH, Return, Scanner};
@@ -310,7 +310,7 @@ fn by_back_end(number: usize) -> EncoderConfig {
 fn comes_back_from(known: &Known, files: &[ScanFile], config: &EncoderConfig) {
     let stream = known.encode(files, config);
     match config.positions {
-        Positions::Bounded { max_error_um, .. } => {
+        PositionFidelity::Bounded { max_error_um, .. } => {
             check_bound(files, &decode_files(&stream).expect("decodes"), config, max_error_um);
         }
         // Streams of one group.

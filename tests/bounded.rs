@@ -7,7 +7,7 @@ use crate::common::scans::{Points, random_points, scans, shuffled, small};
 use crate::common::{File, cases, decode_files, encode_files, first_files, real_folders, section_bytes};
 use lidarpc::internals::container::SectionKind;
 use lidarpc::internals::edit::{Named, cut};
-use lidarpc::internals::frame::Intensity;
+use lidarpc::internals::frame::IntensityFidelity;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::ground::error::Limits;
 use lidarpc::internals::stream::{DecodeOptions, FrameInput, FrameRange, decode, encode};
@@ -55,9 +55,9 @@ fn intensities_are_rounded_if_asked_for() {
         let config = EncoderConfig { intensity, ..bounded(10_000) };
         section_bytes(&keeps_the_bound(&files, &config, 10_000).0)[&SectionKind::Intensity]
     };
-    let exact = bytes(Intensity::Exact);
-    let steps =
-        [20_000, 30_000, 100_000, 350_000].map(|step_millionths| Intensity::Rounded { step_millionths });
+    let exact = bytes(IntensityFidelity::Exact);
+    let steps = [20_000, 30_000, 100_000, 350_000]
+        .map(|step_millionths| IntensityFidelity::Rounded { step_millionths });
     for step in steps {
         assert!(bytes(step) < exact, "{step:?}");
     }
@@ -169,7 +169,7 @@ fn values_that_break_things_stay() {
         points[40 * n][n % 3] = value;
         points[40 * n + 7] = [value; 4];
     }
-    for intensity in [Intensity::Exact, Intensity::Rounded { step_millionths: 50_000 }] {
+    for intensity in [IntensityFidelity::Exact, IntensityFidelity::Rounded { step_millionths: 50_000 }] {
         let config = EncoderConfig { intensity, ..bounded(20_000) };
         keeps_the_bound(&named(&[SCANS[0][1].clone(), points.clone()]), &config, 20_000);
     }
@@ -227,7 +227,7 @@ proptest! {
         step in prop::option::of(prop_oneof![1u32..2_000_000, prop::sample::select(vec![10_000u32, 50_000])]),
     ) {
         let files: Vec<File> = files.into_iter().enumerate().map(|(n, file)| file.named(n)).collect();
-        let intensity = step.map_or(Intensity::Exact, |step_millionths| Intensity::Rounded { step_millionths });
+        let intensity = step.map_or(IntensityFidelity::Exact, |step_millionths| IntensityFidelity::Rounded { step_millionths });
         keeps_the_bound(&files, &EncoderConfig { intensity, ..bounded(max_error_um) }, max_error_um);
     }
 }

@@ -11,7 +11,7 @@ use lidarpc::internals::backend;
 use lidarpc::internals::container::{CodedFrame, Group, SectionKind, StreamReader};
 use lidarpc::internals::edit::{Cut, Joined, Named, cat, cut, cut_indexed};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
-use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction};
+use lidarpc::internals::frame::{FrameParameters, IntensityFidelity, Prediction};
 use lidarpc::internals::ground::error::{Error, Limits, Result};
 use lidarpc::internals::stream::FrameRange;
 use lidarpc::internals::study::synth::SynthConfig;
@@ -43,7 +43,7 @@ static STREAMS: LazyLock<Vec<Vec<Vec<u8>>>> = LazyLock::new(|| {
     let images = ImageCodec::ALL.map(|codec| EncoderConfig {
         coder: Coder::Image(codec),
         image: ImageConfig { passes: 2, rate: Rate::Bits(8.0) },
-        intensity: Intensity::Exact,
+        intensity: IntensityFidelity::Exact,
         ..paper.clone()
     });
     [&[EncoderConfig::default(), paper, smallest, context], &images[..]].concat().iter().map(of).collect()

@@ -12,7 +12,7 @@ use lidarpc::internals::container::{
     Group, GroupEntry, Index, Lost, ScannerId, ScannerRecord, SectionKind, StreamReader,
 };
 use lidarpc::internals::edit::{Named, Recovered, recover, repair};
-use lidarpc::internals::frame::Intensity;
+use lidarpc::internals::frame::IntensityFidelity;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
 use lidarpc::internals::ground::error::{Limits, Result};
 use lidarpc::internals::ground::varint::read_unsigned;
@@ -49,7 +49,7 @@ fn streams_of_all_sections() -> Vec<Vec<u8>> {
         ..EncoderConfig::preset(Mode::Paper)
     };
     let bounded = EncoderConfig {
-        intensity: Intensity::Rounded { step_millionths: 50_000 },
+        intensity: IntensityFidelity::Rounded { step_millionths: 50_000 },
         ..EncoderConfig::preset(Mode::Bounded { max_error_um: 20_000 })
     };
     [EncoderConfig::default(), bounded, paper].map(|config| encode_files(&files, &config)).to_vec()

@@ -24,7 +24,7 @@ use lidarpc::internals::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use lidarpc::internals::backend::{BACKENDS, LZMA};
 use lidarpc::internals::container::{FrameKind, Stamp, StreamHeader, Time, TimeSource};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice};
-use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction};
+use lidarpc::internals::frame::{FrameParameters, IntensityFidelity, Prediction};
 use lidarpc::internals::scanner::{RangeImage, firings};
 use lidarpc::internals::stream::{FrameInput, encode};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
@@ -407,7 +407,7 @@ fn recipes() -> Vec<Recipe> {
         lossy(&format!("bounded-{name}"), altered_files, config);
     }
     let rounded = EncoderConfig {
-        intensity: Intensity::Rounded { step_millionths: 50_000 },
+        intensity: IntensityFidelity::Rounded { step_millionths: 50_000 },
         ..EncoderConfig::preset(Mode::Bounded { max_error_um: 500 })
     };
     lossy("bounded-rounded-odd-files", odd_files, rounded.clone());
@@ -428,8 +428,12 @@ fn recipes() -> Vec<Recipe> {
         lossy(&format!("paper-{}", codec.name()), two_scans, config);
     }
     for (coder, name) in [(Coder::Context, "context"), (Coder::Backend(LZMA), "lzma")] {
-        let config =
-            EncoderConfig { coder, intensity: Intensity::Exact, prediction: every, ..with_back_end(LZMA) };
+        let config = EncoderConfig {
+            coder,
+            intensity: IntensityFidelity::Exact,
+            prediction: every,
+            ..with_back_end(LZMA)
+        };
         lossy(&format!("paper-{name}-p-frames"), twice_the_same, config);
     }
     // This is detected in whole sweeps only, which have many points, so the section is inserted.

@@ -13,8 +13,8 @@ use lidarpc::internals::ground::error::Limits;
 use lidarpc::internals::ground::varint::write_unsigned;
 use lidarpc::internals::models::ByteModel;
 use lidarpc::internals::scan::{Field, Layout, Scalar, Wrapping};
-use lidarpc::internals::scanner::hdl64::{BeamConstants, ColumnModel, Hdl64};
-use lidarpc::internals::scanner::{Coordinates, Scanner};
+use lidarpc::internals::scanner::hdl64::{BeamConstants, Hdl64, Hdl64ColumnModel};
+use lidarpc::internals::scanner::{CoordinateGrid, Scanner};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
@@ -266,7 +266,7 @@ fn sections(kinds: &[SectionKind], payload: &[u8]) -> Vec<Section> {
 
 /// A scanner with many beams and ticks.
 fn model(rows: usize, ticks: u32) -> Hdl64 {
-    Hdl64::new(Coordinates::Millimetre, ticks, 2000, vec![BeamConstants::default(); rows])
+    Hdl64::new(CoordinateGrid::Millimetre, ticks, 2000, vec![BeamConstants::default(); rows])
 }
 
 const IMAGE: [SectionKind; 6] = [
@@ -376,7 +376,7 @@ fn records_without_bytes_are_an_error() {
 fn an_image_larger_than_any_scan_is_an_error() {
     let scanner = model(1024, 360_000);
     let mut columns = ArithmeticEncoder::default();
-    ColumnModel::default().code(&mut columns, scanner.ticks, &mut (0..scanner.ticks).collect());
+    Hdl64ColumnModel::default().code(&mut columns, scanner.ticks, &mut (0..scanner.ticks).collect());
     let mut frame = vec![file_section(&kitti_layout(), 1000, 0)];
     frame.push(Section { kind: SectionKind::Columns, payload: columns.finish() });
     frame.extend(sections(&IMAGE[1..], &[]));
@@ -506,7 +506,7 @@ fn text_of_a_gigabyte_in_a_few_bytes_is_an_error() {
 fn scanners_that_no_frame_uses_cost_nothing() {
     let scanner = |number: usize| {
         let constants = BeamConstants { elevation: number as i64, ..BeamConstants::default() };
-        let model = Hdl64::new(Coordinates::Millimetre, 360_000, 2000, vec![constants]);
+        let model = Hdl64::new(CoordinateGrid::Millimetre, 360_000, 2000, vec![constants]);
         ScannerRecord { family: 1, payload: Scanner::from(model).to_payload() }
     };
     let scanners: Vec<_> = (0..2000).map(scanner).collect();

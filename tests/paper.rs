@@ -15,7 +15,7 @@ use lidarpc::internals::backend::Packing;
 use lidarpc::internals::container::SectionKind;
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
-use lidarpc::internals::frame::{FrameParameters, Intensity, Prediction, Source};
+use lidarpc::internals::frame::{FrameParameters, IntensityFidelity, OriginalFile, Prediction};
 use lidarpc::internals::scan::{Channel, PointCloud};
 use lidarpc::internals::scanner::hdl64::project_nearest;
 use lidarpc::internals::scanner::{FLOAT_RANGES, RangeImage, Return, Scanner, ideal};
@@ -78,7 +78,7 @@ fn keeps_the_image(files: &[File], config: &EncoderConfig) -> Vec<File> {
         let point = |found: &Return| scanner.point(found.row as usize, found.tick, found.steps);
         let same = returns.iter().map(|found| point(found).map(|v| (v as f32).to_bits()));
         assert!(same.eq(after.cloud.positions.iter().map(|p| p.map(f32::to_bits))), "{name} {config:?}");
-        let Some(Source { file_size, points, outliers, lost }) = parameters.source else {
+        let Some(OriginalFile { file_size, points, outliers, lost }) = parameters.source else {
             assert!(before.records == 0 && bytes == original, "{name}");
             continue;
         };
@@ -133,7 +133,7 @@ fn every_setting_keeps_the_image() {
 #[test]
 fn intensities_and_other_fields_stay_with_their_points() {
     let files = [("0.pcd".to_owned(), pcd_extra(&SCANS[0]))];
-    let config = EncoderConfig { intensity: Intensity::Exact, ..paper() };
+    let config = EncoderConfig { intensity: IntensityFidelity::Exact, ..paper() };
     let decoded = keeps_the_image(&files, &config);
     let before = parse("0.pcd", files[0].1.clone()).cloud;
     let after = parse("0.pcd", decoded[0].1.clone()).cloud;
@@ -173,7 +173,7 @@ fn the_calibrated_image_loses_no_point() {
     let config = EncoderConfig {
         projection: ProjectionKind::CALIBRATED,
         outliers: None,
-        intensity: Intensity::Exact,
+        intensity: IntensityFidelity::Exact,
         ..paper()
     };
     let stream = encode_files(&named(&SCANS), &config);
@@ -377,7 +377,7 @@ fn lossy_points_of_the_calibrated_image_keep_their_intensities_and_fields() {
     for (codec, bits) in [(ImageCodec::Jpeg, 3.0), (ImageCodec::Jpeg2000, 1.0)] {
         let config = EncoderConfig {
             projection: ProjectionKind::CALIBRATED,
-            intensity: Intensity::Exact,
+            intensity: IntensityFidelity::Exact,
             outliers: None,
             ..by_image(codec, bits, PredictionChoice::Smallest)
         };

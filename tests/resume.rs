@@ -14,7 +14,7 @@ use lidarpc::internals::container::{FrameKind, Stamp};
 use lidarpc::internals::edit::{PartialFiles, encode_resuming};
 use lidarpc::internals::frame::settings::{EncoderConfig, Mode};
 use lidarpc::internals::ground::error::Result;
-use lidarpc::internals::stream::{Encoded, FrameInput, encode};
+use lidarpc::internals::stream::{EncodeStatistics, FrameInput, encode};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -74,7 +74,7 @@ impl Partial {
         partial
     }
 
-    fn encode(&self, files: &[Scan], config: &EncoderConfig) -> Result<Encoded> {
+    fn encode(&self, files: &[Scan], config: &EncoderConfig) -> Result<EncodeStatistics> {
         let [stream, journal] = ["stream", "journal"].map(|name| self.0.path().join(name));
         let stream = File::options().read(true).write(true).open(stream).unwrap();
         let partial = PartialFiles { path: "out.partial".into(), stream, journal };

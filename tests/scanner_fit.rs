@@ -9,7 +9,7 @@ use crate::common::scans::{
 use lidarpc::internals::files::parse;
 use lidarpc::internals::scan::ScanFile;
 use lidarpc::internals::scanner::hdl64::{Hdl64, fit, project};
-use lidarpc::internals::scanner::{Coordinates, REACH};
+use lidarpc::internals::scanner::{CoordinateGrid, REACH};
 use lidarpc::internals::study::synth::{SynthConfig, scanner_beams};
 
 /// All beams, every eighth firing: some 230 points a beam.
@@ -78,7 +78,7 @@ fn one_frame_or_many_and_scanners_of_other_constants() {
         let frames = scans(&config(seed));
         for sample in [&frames[..1], &frames[..2], &frames[..]] {
             let scanner = explains(sample, &frames[3], 0.998);
-            assert_eq!((scanner.rows(), scanner.coordinates), (64, Coordinates::Millimetre));
+            assert_eq!((scanner.rows(), scanner.coordinates), (64, CoordinateGrid::Millimetre));
             let exact = exact(&scanner, &frames[3]);
             assert!(exact > if sample.len() > 2 { 0.97 } else { 0.85 }, "{exact} to the millimetre");
         }
@@ -191,7 +191,7 @@ fn coordinates_that_were_not_rounded() {
     let config = config(8);
     let frames: Vec<Points> = scans(&config).iter().map(|points| unrounded(&config, points)).collect();
     let scanner = explains(&frames, &frames[3], 0.998);
-    assert_eq!(scanner.coordinates, Coordinates::Float32);
+    assert_eq!(scanner.coordinates, CoordinateGrid::Float32);
     assert!(!scanner.is_single_precision());
 }
 

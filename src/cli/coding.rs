@@ -9,7 +9,7 @@ use crate::files::HeaderlessLayout;
 use crate::frame::settings::{
     Coder, EncoderConfig, FrameOrder, MOST_FRAMES_OF_GROUP, Mode, PredictionChoice, ProjectionKind,
 };
-use crate::frame::{Intensity, MOST_INTENSITY_STEP_MILLIONTHS, Prediction};
+use crate::frame::{IntensityFidelity, MOST_INTENSITY_STEP_MILLIONTHS, Prediction};
 use crate::ground::error::{Error, Result};
 use crate::inter::registration::RegistrationMethod;
 use crate::scanner::FLOAT_RANGES;
@@ -336,7 +336,7 @@ impl CodingArgs {
     pub fn config(&self, threads: usize) -> Result<EncoderConfig> {
         let mut config = EncoderConfig::preset(self.preset()?);
         if let Some(IntensityStep(step_millionths)) = self.intensity_step {
-            config.intensity = Intensity::Rounded { step_millionths };
+            config.intensity = IntensityFidelity::Rounded { step_millionths };
         }
         config.threads = threads;
         config.headerless = self.layout.clone();
@@ -443,8 +443,8 @@ impl CodingArgs {
         }
         if let Some(intensity) = self.intensity {
             config.intensity = match intensity {
-                IntensityArg::Exact => Intensity::Exact,
-                IntensityArg::None => Intensity::None,
+                IntensityArg::Exact => IntensityFidelity::Exact,
+                IntensityArg::None => IntensityFidelity::None,
             };
         }
         Ok(())

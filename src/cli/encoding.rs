@@ -7,7 +7,7 @@ use crate::edit;
 use crate::files::sequence::LeftOut;
 use crate::frame::{EncoderConfig, StageReport};
 use crate::ground::error::{self, Error};
-use crate::stream::{self, DecodeOptions, DecodedFrame, Encoded, FrameInput};
+use crate::stream::{self, DecodeOptions, DecodedFrame, EncodeStatistics, FrameInput};
 use anyhow::{Context, Result, bail, ensure};
 
 use super::args::EncodeArgs;
@@ -20,7 +20,7 @@ use super::partial::{self, PartialOutput};
 
 /// The result of a run.
 pub struct Done {
-    pub encoded: Encoded,
+    pub encoded: EncodeStatistics,
     pub left_out: LeftOut,
     /// Whether the output was complete before, so that nothing was encoded.
     pub was_complete: bool,
@@ -62,7 +62,7 @@ fn encode_files(
     config: &EncoderConfig,
     found: &InputFiles,
     console: Console,
-) -> Result<Encoded> {
+) -> Result<EncodeStatistics> {
     let mut output = create_output(args, console)?;
     let frames = found.inputs();
     let bar = console.bar(Some(frames.len() as u64), "encoding");
@@ -79,7 +79,7 @@ fn encode_in_runs(
     config: &EncoderConfig,
     frames: &[FrameInput],
     console: Console,
-) -> Result<Encoded> {
+) -> Result<EncodeStatistics> {
     let name = name_of_output(args.output());
     let words =
         format!("interrupted; what is done is kept in {name}.partial, and the same command goes on with it");
@@ -107,7 +107,7 @@ fn confirm(
     frames: &[FrameInput],
     mut stream: File,
     console: Console,
-) -> Result<Encoded> {
+) -> Result<EncodeStatistics> {
     let name = name_of_output(args.output());
     let bar = console.bar(Some(frames.len() as u64), "comparing");
     let encoded = edit::confirm_complete(frames, config, &stream, &|| bar.inc(1));
@@ -148,7 +148,7 @@ pub fn create_output(args: &EncodeArgs, console: Console) -> Result<FileOutput> 
 pub fn finish_output(
     args: &EncodeArgs,
     output: FileOutput,
-    encoded: &Encoded,
+    encoded: &EncodeStatistics,
     console: Console,
 ) -> Result<()> {
     if args.verify {
@@ -162,7 +162,7 @@ pub fn finish_output(
 ///
 /// # Errors
 /// If it cannot be decoded, or decodes to something else.
-pub fn verify(args: &EncodeArgs, encoded: &Encoded, file: File, console: Console) -> Result<()> {
+pub fn verify(args: &EncodeArgs, encoded: &EncodeStatistics, file: File, console: Console) -> Result<()> {
     let name = || name_of_output(args.output());
     let options = DecodeOptions { threads: args.threads.threads, ..DecodeOptions::default() };
     let bar = console.bar(Some(encoded.frames.len() as u64), "verifying");

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use crate::files::{FileFormat, convert, write};
 use crate::frame::settings::EncoderConfig;
-use crate::frame::{Intensity, Positions};
+use crate::frame::{IntensityFidelity, PositionFidelity};
 use crate::ground::error::Error;
 use crate::library::Settings;
 use crate::recordings::{self, Clouds, Contents, CopySummary, Topic, TopicFilter};
@@ -171,7 +171,7 @@ fn pack(args: &EncodeArgs, input: &Path, config: &EncoderConfig, console: Consol
         "encode",
         [
             (
-                config.positions == Positions::Formula || config.intensity == Intensity::None,
+                config.positions == PositionFidelity::Formula || config.intensity == IntensityFidelity::None,
                 "paper mode drops points and intensities, which messages keep; give --max-error, or -o FILE.lpc",
             ),
             (

@@ -3,8 +3,8 @@
 
 use crate::container::FrameKind;
 use crate::files::sequence::LeftOut;
-use crate::frame::{EncoderConfig, Intensity, Positions};
-use crate::stream::Encoded;
+use crate::frame::{EncoderConfig, IntensityFidelity, PositionFidelity};
+use crate::stream::EncodeStatistics;
 use crate::study::metrics;
 use serde::Serialize;
 
@@ -13,27 +13,29 @@ use super::table;
 
 /// How accurately points are restored, in words. If `encoded` is given, also how many points paper mode
 /// dropped, or how many scans bounded mode restores exactly.
-pub fn fidelity(config: &EncoderConfig, encoded: Option<&Encoded>) -> String {
+pub fn fidelity(config: &EncoderConfig, encoded: Option<&EncodeStatistics>) -> String {
     let positions = match (config.positions, encoded) {
-        (Positions::Exact, _) => "lossless".to_owned(),
-        (Positions::Formula, None) => "paper mode".to_owned(),
-        (Positions::Formula, Some(encoded)) => {
+        (PositionFidelity::Exact, _) => "lossless".to_owned(),
+        (PositionFidelity::Formula, None) => "paper mode".to_owned(),
+        (PositionFidelity::Formula, Some(encoded)) => {
             let dropped = encoded.outliers + encoded.lost;
             let share = table::percent(metrics::ratio(encoded.points, dropped));
             format!("paper mode: {} points dropped ({share})", table::grouped(dropped))
         }
-        (bounded @ Positions::Bounded { .. }, encoded) => {
+        (bounded @ PositionFidelity::Bounded { .. }, encoded) => {
             format!("{bounded}{}", encoded.map_or(String::new(), exact_scans))
         }
     };
     match config.intensity {
-        Intensity::Exact => positions,
-        intensity @ (Intensity::None | Intensity::Rounded { .. }) => format!("{positions}, {intensity}"),
+        IntensityFidelity::Exact => positions,
+        intensity @ (IntensityFidelity::None | IntensityFidelity::Rounded { .. }) => {
+            format!("{positions}, {intensity}")
+        }
     }
 }
 
 /// How many scans bounded mode restores exactly, in brackets; nothing if there are none.
-fn exact_scans(encoded: &Encoded) -> String {
+fn exact_scans(encoded: &EncodeStatistics) -> String {
     match (encoded.exact, scans(encoded)) {
         (0, _) => String::new(),
         (exact, scans) if exact == scans => " (all exact: the bound saves nothing here)".to_owned(),
@@ -42,18 +44,18 @@ fn exact_scans(encoded: &Encoded) -> String {
 }
 
 /// The number of frames that are not files beside the scans.
-fn scans(encoded: &Encoded) -> u64 {
+fn scans(encoded: &EncodeStatistics) -> u64 {
     encoded.frames.len() as u64 - encoded.beside
 }
 
 /// The names of files in which no points were recognised, and which are therefore stored as bytes.
-fn plain_files(encoded: &Encoded) -> impl Iterator<Item = &str> {
+fn plain_files(encoded: &EncodeStatistics) -> impl Iterator<Item = &str> {
     let frames = encoded.frames.iter().filter(|frame| frame.stamp.kind != FrameKind::Beside);
     frames.filter(|frame| frame.point_count == 0 && frame.file_size > 0).map(|frame| &frame.name[..])
 }
 
 /// A run of `encode` in one line: what was saved, what was lost, and other remarks on the files.
-pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &Encoded) -> String {
+pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &EncodeStatistics) -> String {
     let (original, coded) = (encoded.file_bytes(), encoded.stream_bytes);
     let of_scans = coded - encoded.beside_coded;
     let resumed = match encoded.resumed_frames {
@@ -101,7 +103,7 @@ fn what_was_verified(config: &EncoderConfig) -> &'static str {
         _ if config.is_exact() => {
             ", verified (names and bytes; times and permissions of files are not stored)"
         }
-        Positions::Bounded { .. } => ", verified (names, and that all points are within the bound)",
+        PositionFidelity::Bounded { .. } => ", verified (names, and that all points are within the bound)",
         _ => ", verified (names, and that every frame decodes as it did while it was encoded)",
     }
 }
@@ -140,7 +142,7 @@ impl StreamReport {
     pub fn of(
         args: &EncodeArgs,
         config: &EncoderConfig,
-        encoded: &Encoded,
+        encoded: &EncodeStatistics,
         left_out: &LeftOut,
         seconds: f64,
     ) -> Self {
@@ -183,9 +185,11 @@ impl FidelityReport {
     /// The report on points that are encoded with these settings.
     pub fn of(config: &EncoderConfig) -> Self {
         let (mode, max_error_m) = match config.positions {
-            Positions::Exact => ("exact", None),
-            Positions::Bounded { max_error_um, .. } => ("bounded", Some(f64::from(max_error_um) * 1e-6)),
-            Positions::Formula => ("paper", None),
+            PositionFidelity::Exact => ("exact", None),
+            PositionFidelity::Bounded { max_error_um, .. } => {
+                ("bounded", Some(f64::from(max_error_um) * 1e-6))
+            }
+            PositionFidelity::Formula => ("paper", None),
         };
         FidelityReport { mode, max_error_m }
     }

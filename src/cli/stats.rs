@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Seek, Write};
 
 use crate::container::{FrameKind, Record, SectionKind, StreamReader};
-use crate::frame::{FrameParameters, Source};
+use crate::frame::{FrameParameters, OriginalFile};
 use crate::ground::error::Limits;
 use crate::study::metrics;
 use anyhow::Result;
@@ -102,7 +102,7 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
     let mut by_kind = SectionKind::ALL.map(|_| 0u64);
     let (mut frames, mut files_beside, mut scanner_bytes) = (0, 0, 0);
     let mut fidelity = BTreeMap::new();
-    let (mut originals, mut scanners) = (Source::default(), KnownScanners::default());
+    let (mut originals, mut scanners) = (OriginalFile::default(), KnownScanners::default());
     while let Some(record) = reader.next_record()? {
         match record {
             Record::Scanner(record) => {
@@ -119,7 +119,7 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
                             *fidelity.entry(FrameParameters::of(frame)?.fidelity()).or_default() += 1;
                         }
                     }
-                    originals.add(&Source::of(frame)?);
+                    originals.add(&OriginalFile::of(frame)?);
                     for section in &frame.sections {
                         let place = SectionKind::ALL.iter().position(|kind| *kind == section.kind);
                         // Sections that this program does not know count as the container's.
@@ -132,7 +132,7 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
         }
     }
     let stream_bytes = reader.position();
-    let Source { file_size: file_bytes, points, outliers, lost } = originals;
+    let OriginalFile { file_size: file_bytes, points, outliers, lost } = originals;
     let part = |name, bytes| Part { name, bytes, bits_per_point: metrics::bits_per_point(bytes, points) };
     let mut sections = vec![part("scanner", scanner_bytes)];
     sections.extend(SectionKind::ALL.iter().zip(by_kind).map(|(kind, bytes)| part(kind.name(), bytes)));

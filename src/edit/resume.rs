@@ -33,7 +33,7 @@ use settings::Settings;
 use crate::container::ScannerRecord;
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Result};
-use crate::stream::encoded::{Encoded, OpenStream};
+use crate::stream::encoded::{EncodeStatistics, OpenStream};
 use crate::stream::encoder::{SequenceCoder, groups_of};
 use crate::stream::input::FrameInput;
 use crate::stream::ordered::run_ordered;
@@ -65,7 +65,7 @@ pub fn encode_resuming(
     config: &EncoderConfig,
     partial: PartialFiles,
     on_frame: &(dyn Fn() + Sync),
-) -> Result<Encoded> {
+) -> Result<EncodeStatistics> {
     config.check()?;
     let settings = settings::list(config, frames.len());
     let kept = find_kept(&partial)?;

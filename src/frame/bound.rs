@@ -1,8 +1,8 @@
 //! The error bound of bounded mode, and how the encoder keeps it.
 
-use super::fidelity::{Intensity, Positions};
+use super::fidelity::{IntensityFidelity, PositionFidelity};
 use crate::scan::{PointCloud, ScanFile, squared_distance};
-use crate::scanner::Coordinates;
+use crate::scanner::CoordinateGrid;
 
 /// The largest errors allowed for decoded values.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,15 +10,15 @@ pub struct Bound {
     /// Largest 3-D distance, in metres.
     max_error: f64,
     /// The grid for points outside the range image.
-    lattice: Coordinates,
-    intensity: Intensity,
+    lattice: CoordinateGrid,
+    intensity: IntensityFidelity,
 }
 
 impl Bound {
     /// The bound in these settings; `None` if they require more than a bound.
-    pub fn of(positions: Positions, intensity: Intensity) -> Option<Self> {
+    pub fn of(positions: PositionFidelity, intensity: IntensityFidelity) -> Option<Self> {
         match (positions, positions.lattice()) {
-            (Positions::Bounded { max_error_um, .. }, Some(lattice)) => {
+            (PositionFidelity::Bounded { max_error_um, .. }, Some(lattice)) => {
                 Some(Bound { max_error: f64::from(max_error_um) * 1e-6, lattice, intensity })
             }
             _ => None,
@@ -61,7 +61,7 @@ impl Bound {
 
     /// Rounds intensities to multiples of the step, if there is one.
     pub fn round_intensities<'a>(&self, intensities: impl Iterator<Item = &'a mut f32>) {
-        let Intensity::Rounded { step_millionths } = self.intensity else { return };
+        let IntensityFidelity::Rounded { step_millionths } = self.intensity else { return };
         for value in intensities.filter(|value| value.is_finite()) {
             let count = (f64::from(*value) * 1e6 / f64::from(step_millionths)).round();
             *value = match self.intensity.levels_per_unit() {
@@ -75,8 +75,8 @@ impl Bound {
     pub fn holds(&self, original: &ScanFile, decoded: &ScanFile) -> bool {
         let (PointCloud { positions, intensity, channels }, after) = (&original.cloud, &decoded.cloud);
         let half_step = match self.intensity {
-            Intensity::Rounded { step_millionths } => 0.5e-6 * f64::from(step_millionths),
-            Intensity::Exact | Intensity::None => 0.0,
+            IntensityFidelity::Rounded { step_millionths } => 0.5e-6 * f64::from(step_millionths),
+            IntensityFidelity::Exact | IntensityFidelity::None => 0.0,
         };
         // The relative error of rounding to float32 is smaller than this.
         let near =

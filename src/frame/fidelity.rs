@@ -4,14 +4,14 @@ use std::fmt;
 
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, read_within, write_unsigned};
-use crate::scanner::Coordinates;
+use crate::scanner::CoordinateGrid;
 
 /// The section of these values, in errors.
 const PART: &str = "frame parameters";
 
 /// How the positions of decoded points are obtained.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Positions {
+pub enum PositionFidelity {
     /// The formula's positions, corrected to those of the file, in the order of the file.
     #[default]
     Exact,
@@ -30,7 +30,7 @@ pub enum Positions {
 
 /// How intensities are restored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Intensity {
+pub enum IntensityFidelity {
     /// Exactly.
     #[default]
     Exact,
@@ -48,25 +48,25 @@ pub const MOST_MAX_ERROR_UM: u32 = 10_000_000;
 /// The largest step of intensities, in millionths of the file's unit: 1000.
 pub const MOST_INTENSITY_STEP_MILLIONTHS: u32 = 1_000_000_000;
 
-impl Positions {
+impl PositionFidelity {
     /// The grid for points outside the range image, or `None` if it is that of the file. No point is farther
     /// than the bound from the nearest point of this cubic grid.
-    pub fn lattice(self) -> Option<Coordinates> {
+    pub fn lattice(self) -> Option<CoordinateGrid> {
         match self {
-            Positions::Bounded { max_error_um, .. } => {
+            PositionFidelity::Bounded { max_error_um, .. } => {
                 // A cube with edges of 2 / sqrt(3) bounds has its corners at the bound; slightly shorter
                 // edges leave room for rounding to float32.
-                Some(Coordinates::Lattice { step_nm: u64::from(max_error_um) * 1140 })
+                Some(CoordinateGrid::Lattice { step_nm: u64::from(max_error_um) * 1140 })
             }
-            Positions::Exact | Positions::Formula => None,
+            PositionFidelity::Exact | PositionFidelity::Formula => None,
         }
     }
 
     pub(crate) fn write_to(self, out: &mut Vec<u8>) {
         match self {
-            Positions::Exact => write_unsigned(out, 0),
-            Positions::Formula => write_unsigned(out, 1),
-            Positions::Bounded { max_error_um, on_grid } => {
+            PositionFidelity::Exact => write_unsigned(out, 0),
+            PositionFidelity::Formula => write_unsigned(out, 1),
+            PositionFidelity::Bounded { max_error_um, on_grid } => {
                 write_unsigned(out, if on_grid { 3 } else { 2 });
                 write_unsigned(out, u64::from(max_error_um));
             }
@@ -75,13 +75,13 @@ impl Positions {
 
     pub(crate) fn read_from(input: &mut &[u8]) -> Result<Self> {
         match read_unsigned(input, PART)? {
-            0 => Ok(Positions::Exact),
-            1 => Ok(Positions::Formula),
+            0 => Ok(PositionFidelity::Exact),
+            1 => Ok(PositionFidelity::Formula),
             code @ 2..4 => {
                 let max_error_um =
                     read_within(input, "frame parameters: a largest error", 1..=MOST_MAX_ERROR_UM.into())?
                         as u32;
-                Ok(Positions::Bounded { max_error_um, on_grid: code == 3 })
+                Ok(PositionFidelity::Bounded { max_error_um, on_grid: code == 3 })
             }
             other => Err(Error::unsupported(format!("frame parameters: unknown positions {other}"))),
         }
@@ -89,12 +89,12 @@ impl Positions {
 }
 
 /// In words: `exact`, `range image`, `within 10 mm`.
-impl fmt::Display for Positions {
+impl fmt::Display for PositionFidelity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Positions::Exact => f.write_str("exact"),
-            Positions::Formula => f.write_str("range image"),
-            Positions::Bounded { max_error_um, .. } => {
+            PositionFidelity::Exact => f.write_str("exact"),
+            PositionFidelity::Formula => f.write_str("range image"),
+            PositionFidelity::Bounded { max_error_um, .. } => {
                 write!(f, "within {} mm", f64::from(*max_error_um) / 1000.0)
             }
         }
@@ -102,32 +102,34 @@ impl fmt::Display for Positions {
 }
 
 /// In words: `intensities exact`, `intensities dropped`, `intensities in steps of 0.05`.
-impl fmt::Display for Intensity {
+impl fmt::Display for IntensityFidelity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Intensity::Exact => f.write_str("intensities exact"),
-            Intensity::None => f.write_str("intensities dropped"),
-            Intensity::Rounded { step_millionths } => {
+            IntensityFidelity::Exact => f.write_str("intensities exact"),
+            IntensityFidelity::None => f.write_str("intensities dropped"),
+            IntensityFidelity::Rounded { step_millionths } => {
                 write!(f, "intensities in steps of {}", f64::from(*step_millionths) / 1e6)
             }
         }
     }
 }
 
-impl Intensity {
+impl IntensityFidelity {
     /// Levels per 1.0 of the rounded intensities, if that is a whole number.
     pub fn levels_per_unit(self) -> Option<u32> {
         match self {
-            Intensity::Rounded { step_millionths: step } => (1_000_000 % step == 0).then(|| 1_000_000 / step),
-            Intensity::Exact | Intensity::None => None,
+            IntensityFidelity::Rounded { step_millionths: step } => {
+                (1_000_000 % step == 0).then(|| 1_000_000 / step)
+            }
+            IntensityFidelity::Exact | IntensityFidelity::None => None,
         }
     }
 
     pub(crate) fn write_to(self, out: &mut Vec<u8>) {
         match self {
-            Intensity::None => write_unsigned(out, 0),
-            Intensity::Exact => write_unsigned(out, 1),
-            Intensity::Rounded { step_millionths } => {
+            IntensityFidelity::None => write_unsigned(out, 0),
+            IntensityFidelity::Exact => write_unsigned(out, 1),
+            IntensityFidelity::Rounded { step_millionths } => {
                 write_unsigned(out, 2);
                 write_unsigned(out, u64::from(step_millionths));
             }
@@ -136,11 +138,11 @@ impl Intensity {
 
     pub(crate) fn read_from(input: &mut &[u8]) -> Result<Self> {
         match read_unsigned(input, PART)? {
-            0 => Ok(Intensity::None),
-            1 => Ok(Intensity::Exact),
+            0 => Ok(IntensityFidelity::None),
+            1 => Ok(IntensityFidelity::Exact),
             2 => {
                 let steps = 1..=u32::MAX.into();
-                Ok(Intensity::Rounded {
+                Ok(IntensityFidelity::Rounded {
                     step_millionths: read_within(input, "frame parameters: a step of intensities", steps)?
                         as u32,
                 })

@@ -6,9 +6,9 @@ use std::borrow::Borrow;
 use std::mem::{replace, take};
 
 use super::bound::Bound;
-use super::fidelity::{Intensity, Positions};
+use super::fidelity::{IntensityFidelity, PositionFidelity};
 use super::levels::InterChoice;
-use super::parameters::{Prediction, RangeCoder, Source};
+use super::parameters::{OriginalFile, Prediction, RangeCoder};
 use super::parts::FrameParts;
 use super::sections::{Effort, SectionReader, SectionWriter};
 use super::settings::EncoderConfig;
@@ -181,7 +181,7 @@ impl<'s> TrackEncoder<'s> {
         if original.stamp.kind == FrameKind::Beside {
             return self.encode_beside(&scan, original);
         }
-        let Positions::Bounded { max_error_um, .. } = self.config.positions else {
+        let PositionFidelity::Bounded { max_error_um, .. } = self.config.positions else {
             return Ok(self.encode_as(self.config, scan, original)?.0);
         };
         let before = take(&mut self.state);
@@ -190,7 +190,7 @@ impl<'s> TrackEncoder<'s> {
         if let Some(bounded) = bounded.take_if(|_| self.bound_pays) {
             return Ok(self.go_on_with(bounded));
         }
-        let (positions, intensity) = (Positions::Exact, Intensity::Exact);
+        let (positions, intensity) = (PositionFidelity::Exact, IntensityFidelity::Exact);
         let config = EncoderConfig { positions, intensity, ..self.config.clone() };
         let (exact, _) = self.candidate(&before, &config, &scan, &original)?;
         // The other fields of a record stay exact. If they follow from the position, they may take more bytes
@@ -247,8 +247,8 @@ impl<'s> TrackEncoder<'s> {
     ) -> Result<Option<Candidate<'s>>> {
         /// Number of times that a frame is coded at most.
         const ATTEMPTS: usize = 3;
-        let Positions::Bounded { on_grid, .. } = self.config.positions else { return Ok(None) };
-        let within = |max_error_um| Positions::Bounded { max_error_um, on_grid };
+        let PositionFidelity::Bounded { on_grid, .. } = self.config.positions else { return Ok(None) };
+        let within = |max_error_um| PositionFidelity::Bounded { max_error_um, on_grid };
         let of_file = max_error_um.saturating_sub(file_rounding_um(scan));
         let Some(bound) = Bound::of(within(of_file), self.config.intensity) else { return Ok(None) };
         for _ in 0..ATTEMPTS {
@@ -431,7 +431,8 @@ impl<'s> TrackEncoder<'s> {
 /// Whether the models may do worse than a general-purpose compressor, as many records are no returns of a
 /// range image and all must be restored exactly.
 fn may_be_unexplained(frame: &FrameParts, config: &EncoderConfig) -> bool {
-    let is_exact = config.positions == Positions::Exact && config.intensity == Intensity::Exact;
+    let is_exact =
+        config.positions == PositionFidelity::Exact && config.intensity == IntensityFidelity::Exact;
     is_exact && frame.parameters.source.is_none() && 4 * frame.outside() >= frame.records
 }
 
@@ -483,7 +484,7 @@ pub struct DecodedScan {
     /// The file.
     pub scan: ScanFile,
     /// Properties of the original file, if it is not restored exactly.
-    pub source: Option<Source>,
+    pub source: Option<OriginalFile>,
     /// Whether it has the points of the original file in the same order.
     pub keeps_order: bool,
     /// The range image, if there is one and it was requested.
@@ -583,7 +584,7 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
             }),
             None => None,
         };
-        let keeps_order = frame.parameters.positions != Positions::Formula;
+        let keeps_order = frame.parameters.positions != PositionFidelity::Formula;
         Ok(DecodedScan { scan: frame.into_scan(&header.name)?, source, keeps_order, image, explained })
     }
 }

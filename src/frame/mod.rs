@@ -14,9 +14,9 @@ pub(crate) mod sections;
 pub(crate) mod syntax;
 mod whole;
 
-pub use fidelity::{Intensity, MOST_INTENSITY_STEP_MILLIONTHS, MOST_MAX_ERROR_UM, Positions};
+pub use fidelity::{IntensityFidelity, MOST_INTENSITY_STEP_MILLIONTHS, MOST_MAX_ERROR_UM, PositionFidelity};
 pub use group::DecodedImage;
 pub use modelling::Modelling;
-pub use parameters::{FrameParameters, Prediction, Source};
+pub use parameters::{FrameParameters, OriginalFile, Prediction};
 pub use settings::{Coder, EncoderConfig, FrameOrder, Mode, PredictionChoice, ProjectionKind};
 pub use stages::{Stage, StageReport};

@@ -70,14 +70,14 @@ pub(crate) enum CorrectionModelling {
 
 /// How each part of a frame is modelled.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Parts {
+pub(crate) struct PartModellings {
     pub occupancy: OccupancyModelling,
     pub intensity: IntensityModelling,
     pub range: RangeModelling,
     pub correction: CorrectionModelling,
 }
 
-impl Parts {
+impl PartModellings {
     /// Whether the models of intensities, and those of ranges above the default level, adapt to each value.
     pub(crate) fn is_adaptive(&self) -> bool {
         matches!(self.intensity, IntensityModelling::Light | IntensityModelling::Deep)
@@ -96,7 +96,7 @@ impl Modelling {
     ];
 
     /// How each part is modelled.
-    pub(crate) fn parts(self) -> Parts {
+    pub(crate) fn parts(self) -> PartModellings {
         use {
             CorrectionModelling as Correction, IntensityModelling as Intensity,
             OccupancyModelling as Occupancy, RangeModelling as Range,
@@ -115,7 +115,7 @@ impl Modelling {
             }
             Self::Packed => (Occupancy::Tokens, Intensity::Packed, Range::Packed, Correction::Tokens),
         };
-        Parts { occupancy, intensity, range, correction }
+        PartModellings { occupancy, intensity, range, correction }
     }
 
     /// Whether there are P frames: not if all parts are tokens.

@@ -4,7 +4,7 @@
 use std::fmt;
 use std::ops::RangeInclusive;
 
-use super::fidelity::{Intensity, Positions};
+use super::fidelity::{IntensityFidelity, PositionFidelity};
 use super::modelling::Modelling;
 use crate::article::image_coding::ImageCodec;
 use crate::backend::{self, Packing};
@@ -22,9 +22,9 @@ const PART: &str = "frame parameters";
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameParameters {
     /// How positions are restored.
-    pub positions: Positions,
+    pub positions: PositionFidelity,
     /// How intensities are restored.
-    pub intensity: Intensity,
+    pub intensity: IntensityFidelity,
     /// How the ranges are predicted.
     pub prediction: Prediction,
     /// The motion of the scanner since the frame before; only if it is used to predict the ranges.
@@ -36,7 +36,7 @@ pub struct FrameParameters {
     /// Whether the halves of the range image are coded separately; only with the context coder.
     pub halved: bool,
     /// Properties of the original file, if the decoded one differs from it.
-    pub source: Option<Source>,
+    pub source: Option<OriginalFile>,
 }
 
 /// The prediction of the ranges of a range image before they are coded.
@@ -80,7 +80,7 @@ pub enum RangeCoder {
 
 /// The file from which a frame was encoded, and what happened to its points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Source {
+pub struct OriginalFile {
     /// Bytes of the file.
     pub file_size: u64,
     /// Points in the file.
@@ -94,8 +94,8 @@ pub struct Source {
 impl Default for FrameParameters {
     fn default() -> Self {
         FrameParameters {
-            positions: Positions::Exact,
-            intensity: Intensity::Exact,
+            positions: PositionFidelity::Exact,
+            intensity: IntensityFidelity::Exact,
             prediction: Prediction::None,
             motion: QuantisedPose::default(),
             snake: false,
@@ -147,7 +147,7 @@ impl FrameParameters {
             RangeCoder::Image(codec) => write_unsigned(out, image_code(codec)),
         }
         write_unsigned(out, u64::from(self.source.is_some()));
-        if let Some(Source { file_size, points, outliers, lost }) = self.source {
+        if let Some(OriginalFile { file_size, points, outliers, lost }) = self.source {
             [file_size, points, outliers, lost].into_iter().for_each(|count| write_unsigned(out, count));
         }
     }
@@ -161,8 +161,8 @@ impl FrameParameters {
             return Err(Error::corrupt("parameters section is missing"));
         }
         let input = &mut bytes;
-        let positions = Positions::read_from(input)?;
-        let intensity = Intensity::read_from(input)?;
+        let positions = PositionFidelity::read_from(input)?;
+        let intensity = IntensityFidelity::read_from(input)?;
         let prediction = Prediction::from_code(read(input)?)?;
         let mut motion = QuantisedPose::default();
         if prediction == Prediction::Inter {
@@ -171,7 +171,7 @@ impl FrameParameters {
         let snake = flag(input)?;
         let range_coder = RangeCoder::read_from(input)?;
         let halved = matches!(range_coder, RangeCoder::Context { .. }) && flag(input)?;
-        let source = if flag(input)? { Some(Source::read_from(input)?) } else { None };
+        let source = if flag(input)? { Some(OriginalFile::read_from(input)?) } else { None };
         if !input.is_empty() {
             return Err(Error::corrupt("frame parameters: bytes left over"));
         }
@@ -208,8 +208,8 @@ impl FrameParameters {
     pub fn fidelity(&self) -> String {
         let FrameParameters { positions, intensity, .. } = self;
         match intensity {
-            Intensity::Rounded { .. } => format!("{positions}, {intensity}"),
-            Intensity::Exact | Intensity::None => positions.to_string(),
+            IntensityFidelity::Rounded { .. } => format!("{positions}, {intensity}"),
+            IntensityFidelity::Exact | IntensityFidelity::None => positions.to_string(),
         }
     }
 }
@@ -330,23 +330,23 @@ impl RangeCoder {
     }
 }
 
-impl Source {
+impl OriginalFile {
     /// The source of a coded frame.
     ///
     /// # Errors
     /// If the frame's parameters are damaged, or unknown to this program.
     pub fn of(frame: &CodedFrame) -> Result<Self> {
         let FrameHeader { file_size, point_count: points, .. } = frame.header;
-        Ok(FrameParameters::of(frame)?.source.unwrap_or(Source::all_points(file_size, points)))
+        Ok(FrameParameters::of(frame)?.source.unwrap_or(OriginalFile::all_points(file_size, points)))
     }
 
     /// A file with this size and number of points, none of which is lost.
     pub(crate) fn all_points(file_size: u64, points: u64) -> Self {
-        Source { file_size, points, ..Source::default() }
+        OriginalFile { file_size, points, ..OriginalFile::default() }
     }
 
     /// Adds the counts of another file.
-    pub fn add(&mut self, other: &Source) {
+    pub fn add(&mut self, other: &OriginalFile) {
         self.file_size = self.file_size.saturating_add(other.file_size);
         self.points = self.points.saturating_add(other.points);
         self.outliers = self.outliers.saturating_add(other.outliers);
@@ -354,7 +354,7 @@ impl Source {
     }
 
     fn read_from(input: &mut &[u8]) -> Result<Self> {
-        Ok(Source {
+        Ok(OriginalFile {
             file_size: read(input)?,
             points: read(input)?,
             outliers: read(input)?,

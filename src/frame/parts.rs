@@ -2,8 +2,8 @@
 //! points. FORMAT.md 4.2 and 9.
 
 use super::bound::Bound;
-use super::fidelity::{Intensity, Positions};
-use super::parameters::{FrameParameters, Prediction, Source};
+use super::fidelity::{IntensityFidelity, PositionFidelity};
+use super::parameters::{FrameParameters, OriginalFile, Prediction};
 use super::settings::{EncoderConfig, ProjectionKind};
 use super::stages::{Stage, StageReport};
 use super::whole::WholeFile;
@@ -132,7 +132,7 @@ impl FrameParts {
         });
         match scanner.filter(|_| !cloud.positions.is_empty()) {
             None => frame.take_strays(cloud),
-            Some(scanner) if config.positions == Positions::Formula => {
+            Some(scanner) if config.positions == PositionFidelity::Formula => {
                 frame.convert_points(&cloud, scanner, config, stages);
             }
             Some(scanner) => stages.timed(Stage::Conversion, || {
@@ -141,7 +141,7 @@ impl FrameParts {
         }
         if let Some(bound) = bound {
             frame.round_values(&bound);
-            frame.parameters.source = Some(Source::all_points(stages.original, scan.records as u64));
+            frame.parameters.source = Some(OriginalFile::all_points(stages.original, scan.records as u64));
         }
         frame.parameters.range_coder.fit(&frame.image.steps);
         Ok(frame)
@@ -181,7 +181,7 @@ impl FrameParts {
     fn undo_sort(&mut self, cloud: PointCloud) -> PointCloud {
         let Some((channel, cloud)) = sorted::in_order_of_arrival(&cloud) else { return cloud };
         // If points are left out, and the formula's come in the order of the image, nothing is sorted again.
-        self.sorted = (self.parameters.positions != Positions::Formula).then_some(channel);
+        self.sorted = (self.parameters.positions != PositionFidelity::Formula).then_some(channel);
         cloud
     }
 
@@ -210,9 +210,9 @@ impl FrameParts {
 
     /// Codes all points one by one, without a range image. No point is lost.
     fn take_strays(&mut self, cloud: PointCloud) {
-        if self.parameters.positions == Positions::Formula {
-            self.parameters.positions = Positions::Exact;
-            self.parameters.intensity = Intensity::Exact;
+        if self.parameters.positions == PositionFidelity::Formula {
+            self.parameters.positions = PositionFidelity::Exact;
+            self.parameters.intensity = IntensityFidelity::Exact;
         }
         self.strays = self.records;
         self.stray_positions = cloud.positions;
@@ -226,7 +226,7 @@ impl FrameParts {
         if let Some(bound) = bound {
             let bin = bound.bin(scanner.range_step_m(), scanner.misses(&projection, &cloud));
             self.parameters.range_coder = self.parameters.range_coder.in_bins(bin);
-            if let Positions::Bounded { on_grid, .. } = &mut self.parameters.positions {
+            if let PositionFidelity::Bounded { on_grid, .. } = &mut self.parameters.positions {
                 *on_grid = bin == 1;
             }
         }
@@ -270,7 +270,7 @@ impl FrameParts {
             ProjectionKind::Calibrated { .. } => blanks,
             ProjectionKind::Ideal { .. } => blanks + std::mem::take(&mut projection.strays).len(),
         };
-        self.parameters.source = Some(Source {
+        self.parameters.source = Some(OriginalFile {
             file_size: stages.original,
             points: self.records as u64,
             outliers: (self.records - cloud.positions.len()) as u64,
@@ -318,7 +318,7 @@ impl FrameParts {
         let points: Vec<u32> = of_returns.chain(strays.iter().copied()).collect();
         self.positions =
             points[..returns.len()].iter().map(|&point| cloud.positions[point as usize]).collect();
-        if self.parameters.positions == Positions::Formula {
+        if self.parameters.positions == PositionFidelity::Formula {
             self.channels = cloud.select(&points).channels;
             return;
         }

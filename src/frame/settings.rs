@@ -1,6 +1,8 @@
 //! The coder controller (article, III-H): all settings of the encoder in one place.
 
-use super::fidelity::{Intensity, MOST_INTENSITY_STEP_MILLIONTHS, MOST_MAX_ERROR_UM, Positions};
+use super::fidelity::{
+    IntensityFidelity, MOST_INTENSITY_STEP_MILLIONTHS, MOST_MAX_ERROR_UM, PositionFidelity,
+};
 use super::levels::{self, InterChoice, LevelSettings};
 use super::modelling::Modelling;
 use super::parameters::{FrameParameters, Prediction, RangeCoder};
@@ -110,9 +112,9 @@ pub struct EncoderConfig {
     pub projection: ProjectionKind,
     /// How positions are restored. Default: exactly; in paper mode they are those of the formula, in bounded
     /// mode within the bound.
-    pub positions: Positions,
+    pub positions: PositionFidelity,
     /// How intensities are restored. Default: exactly; in paper mode they are left out, as in the article.
-    pub intensity: Intensity,
+    pub intensity: IntensityFidelity,
     /// How the ranges are predicted. Default: whichever makes each frame smallest; in paper mode, as in the
     /// article, from regions (IV-C) in I frames and from the frame before (V) in P frames.
     pub prediction: PredictionChoice,
@@ -163,8 +165,8 @@ impl EncoderConfig {
             headerless: None,
             outliers: None,
             projection: ProjectionKind::CALIBRATED,
-            positions: Positions::Exact,
-            intensity: Intensity::Exact,
+            positions: PositionFidelity::Exact,
+            intensity: IntensityFidelity::Exact,
             prediction: PredictionChoice::Smallest,
             order: FrameOrder::default(),
             registration: RegistrationConfig::default(),
@@ -180,14 +182,14 @@ impl EncoderConfig {
         match mode {
             Mode::Exact => exact,
             Mode::Bounded { max_error_um } => {
-                let positions = Positions::Bounded { max_error_um, on_grid: false };
+                let positions = PositionFidelity::Bounded { max_error_um, on_grid: false };
                 EncoderConfig { positions, ..exact }
             }
             Mode::Paper => EncoderConfig {
                 outliers: Some(RadiusOutlier::default()),
                 projection: PAPER_PROJECTION,
-                positions: Positions::Formula,
-                intensity: Intensity::None,
+                positions: PositionFidelity::Formula,
+                intensity: IntensityFidelity::None,
                 prediction: PredictionChoice::Always(Prediction::Inter),
                 coder: Coder::Backend(backend::LZMA),
                 ..exact
@@ -199,7 +201,7 @@ impl EncoderConfig {
     /// image coder in paper mode, as in the article.
     pub fn default_prediction(&self) -> PredictionChoice {
         match (self.coder, self.positions) {
-            (Coder::Backend(_) | Coder::Image(_), Positions::Formula) => {
+            (Coder::Backend(_) | Coder::Image(_), PositionFidelity::Formula) => {
                 PredictionChoice::Always(Prediction::Inter)
             }
             _ => PredictionChoice::Smallest,
@@ -276,7 +278,7 @@ impl EncoderConfig {
 
     /// Whether motion compensation is undone. Paper mode codes scans as they are, like the article.
     pub(crate) fn undoes_compensation(&self) -> bool {
-        self.positions != Positions::Formula
+        self.positions != PositionFidelity::Formula
     }
 
     /// The parameters of a frame, as far as they do not depend on it.
@@ -301,7 +303,7 @@ impl EncoderConfig {
 
     /// Whether every file is restored byte for byte.
     pub fn is_exact(&self) -> bool {
-        (self.positions, self.intensity) == (Positions::Exact, Intensity::Exact)
+        (self.positions, self.intensity) == (PositionFidelity::Exact, IntensityFidelity::Exact)
     }
 
     /// Checks that all settings are in range and fit together.
@@ -333,28 +335,28 @@ impl EncoderConfig {
     fn check_fidelity(&self) -> Result<()> {
         let drops = self.outliers.is_some()
             || self.projection != ProjectionKind::CALIBRATED
-            || self.intensity == Intensity::None;
+            || self.intensity == IntensityFidelity::None;
         match (self.positions, self.intensity) {
-            (Positions::Formula | Positions::Exact, Intensity::Rounded { .. }) => {
+            (PositionFidelity::Formula | PositionFidelity::Exact, IntensityFidelity::Rounded { .. }) => {
                 wrong("intensities are rounded in bounded mode only")
             }
-            (_, Intensity::Rounded { step_millionths })
+            (_, IntensityFidelity::Rounded { step_millionths })
                 if !(1..=MOST_INTENSITY_STEP_MILLIONTHS).contains(&step_millionths) =>
             {
                 wrong("the step of intensities is from 0.000001 to 1000")
             }
-            (Positions::Exact, _) if drops => {
+            (PositionFidelity::Exact, _) if drops => {
                 wrong("exact mode keeps every point and intensity; use paper mode to drop any")
             }
-            (Positions::Bounded { .. }, _) if drops => {
+            (PositionFidelity::Bounded { .. }, _) if drops => {
                 wrong("bounded mode keeps every point; use paper mode to drop any")
             }
-            (Positions::Bounded { max_error_um, .. }, _)
+            (PositionFidelity::Bounded { max_error_um, .. }, _)
                 if !(1..=MOST_MAX_ERROR_UM).contains(&max_error_um) =>
             {
                 wrong("the largest error is from 1 micrometre to 10 metres")
             }
-            (Positions::Bounded { .. }, _) if self.coder != Coder::Context => {
+            (PositionFidelity::Bounded { .. }, _) if self.coder != Coder::Context => {
                 wrong("bounded mode needs the context coder; general-purpose back-ends know no bound")
             }
             _ => Ok(()),
@@ -416,7 +418,7 @@ impl EncoderConfig {
             (ImageCodec::Jpeg, Rate::Lossless, _) => {
                 wrong("jpeg always loses something; choose a rate, or jpeg2000")
             }
-            (_, Rate::Bits(_), Positions::Exact) => {
+            (_, Rate::Bits(_), PositionFidelity::Exact) => {
                 wrong("exact mode loses nothing; choose the mode paper, or jpeg2000 at the rate lossless")
             }
             _ => self.image.check(),
@@ -469,7 +471,7 @@ mod tests {
         let ideal = |columns, range_step_um| ProjectionKind::Ideal { columns, range_step_um };
         for wrong in [
             EncoderConfig { gop: 0, ..exact() },
-            EncoderConfig { intensity: Intensity::None, ..exact() },
+            EncoderConfig { intensity: IntensityFidelity::None, ..exact() },
             EncoderConfig { outliers: Some(RadiusOutlier::default()), ..exact() },
             EncoderConfig { projection: PAPER_PROJECTION, ..exact() },
             EncoderConfig { projection: ideal(0, 1000), ..paper() },
@@ -478,8 +480,8 @@ mod tests {
             EncoderConfig { level: Level::new(4).unwrap(), ..exact() },
             EncoderConfig::preset(Mode::Bounded { max_error_um: 0 }),
             EncoderConfig { coder: Coder::Backend(backend::LZMA), ..bounded() },
-            EncoderConfig { intensity: Intensity::None, ..bounded() },
-            EncoderConfig { intensity: Intensity::Rounded { step_millionths: 1 }, ..exact() },
+            EncoderConfig { intensity: IntensityFidelity::None, ..bounded() },
+            EncoderConfig { intensity: IntensityFidelity::Rounded { step_millionths: 1 }, ..exact() },
         ] {
             assert!(wrong.check().is_err(), "{wrong:?}");
         }

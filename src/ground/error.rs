@@ -27,15 +27,15 @@ pub enum Error {
         known: u16,
     },
     /// The stream is damaged, cut short, or was never valid.
-    #[error("damaged stream: {place}{what}")]
+    #[error("damaged stream: {location}{what}")]
     Corrupt {
         /// What is wrong.
         what: String,
         /// Where.
-        place: Place,
+        location: Location,
     },
     /// The stream exceeds a limit of the reader.
-    #[error("{place}{what}: {got} is over the limit of {max}")]
+    #[error("{location}{what}: {got} is over the limit of {max}")]
     LimitExceeded {
         /// What was requested.
         what: String,
@@ -44,25 +44,25 @@ pub enum Error {
         /// The amount that is allowed.
         max: u64,
         /// Where.
-        place: Place,
+        location: Location,
     },
     /// The stream holds something that this program does not know.
-    #[error("written by a newer lidarpc: {place}{what}")]
+    #[error("written by a newer lidarpc: {location}{what}")]
     Unsupported {
         /// What is unknown.
         what: String,
         /// Where.
-        place: Place,
+        location: Location,
     },
     /// The stream holds something that this program knows, but was built without support for.
-    #[error("{place}{what}: this program was built without the feature `{feature}`")]
+    #[error("{location}{what}: this program was built without the feature `{feature}`")]
     NotBuilt {
         /// What it holds.
         what: String,
         /// The cargo feature.
         feature: &'static str,
         /// Where.
-        place: Place,
+        location: Location,
     },
     /// The settings contradict each other or are out of range.
     #[error("{0}")]
@@ -94,23 +94,23 @@ pub enum Error {
 impl Error {
     /// An error about a damaged stream; `what` says what is wrong.
     pub(crate) fn corrupt(what: impl Into<String>) -> Self {
-        Error::Corrupt { what: what.into(), place: Place::default() }
+        Error::Corrupt { what: what.into(), location: Location::default() }
     }
 
     /// An error about something that only a newer program knows.
     pub(crate) fn unsupported(what: impl Into<String>) -> Self {
-        Error::Unsupported { what: what.into(), place: Place::default() }
+        Error::Unsupported { what: what.into(), location: Location::default() }
     }
 
     /// An error about something that needs a program built with this feature.
     #[cfg(not(feature = "article"))]
     pub(crate) fn not_built(what: impl Into<String>, feature: &'static str) -> Self {
-        Error::NotBuilt { what: what.into(), feature, place: Place::default() }
+        Error::NotBuilt { what: what.into(), feature, location: Location::default() }
     }
 
     /// An error about `what`, whose amount exceeds the limit.
     pub(crate) fn over_limit(what: impl Into<String>, got: u64, max: u64) -> Self {
-        Error::LimitExceeded { what: what.into(), got, max, place: Place::default() }
+        Error::LimitExceeded { what: what.into(), got, max, location: Location::default() }
     }
 
     /// `got`, unless it exceeds the limit.
@@ -137,32 +137,32 @@ impl Error {
 
     /// This error, naming the part of the stream that it is about.
     pub(crate) fn within(mut self, part: impl Into<String>) -> Self {
-        if let Some(place) = self.place_mut() {
-            place.parts.push(part.into());
+        if let Some(location) = self.location_mut() {
+            location.parts.push(part.into());
         }
         self
     }
 
     /// This error, naming the frame that it is about.
     pub(crate) fn within_frame(mut self, number: u64, name: &str) -> Self {
-        if let Some(place) = self.place_mut() {
-            place.frame = Some(number);
-            place.names_frame = true;
+        if let Some(location) = self.location_mut() {
+            location.frame = Some(number);
+            location.names_frame = true;
         }
         self.within(format!("frame {number} ({name:?})"))
     }
 
     /// This error, naming the frame of a group that it is about; the first is 0.
     pub(crate) fn within_frame_of_group(mut self, number: u64) -> Self {
-        if let Some(place) = self.place_mut() {
-            place.frame = Some(number);
+        if let Some(location) = self.location_mut() {
+            location.frame = Some(number);
         }
         self.within(format!("frame {number} of the group"))
     }
 
     /// This error, about a frame of the group whose first frame has this number.
     pub(crate) fn counted_from(mut self, first_frame: u64) -> Self {
-        if let Some(frame) = self.place_mut().and_then(|place| place.frame.as_mut()) {
+        if let Some(frame) = self.location_mut().and_then(|location| location.frame.as_mut()) {
             *frame = frame.saturating_add(first_frame);
         }
         self
@@ -170,20 +170,20 @@ impl Error {
 
     /// This error, which is about a section of this kind.
     pub(crate) fn within_section(mut self, kind: SectionKind) -> Self {
-        if let Some(place) = self.place_mut() {
-            place.section = Some(kind);
+        if let Some(location) = self.location_mut() {
+            location.section = Some(kind);
         }
         self
     }
 
     /// The location in the stream, if known.
-    pub fn place(&self) -> Option<&Place> {
+    pub fn location(&self) -> Option<&Location> {
         match self {
-            Error::Corrupt { place, .. }
-            | Error::Unsupported { place, .. }
-            | Error::NotBuilt { place, .. }
-            | Error::LimitExceeded { place, .. } => Some(place),
-            Error::At { source, .. } => source.place(),
+            Error::Corrupt { location, .. }
+            | Error::Unsupported { location, .. }
+            | Error::NotBuilt { location, .. }
+            | Error::LimitExceeded { location, .. } => Some(location),
+            Error::At { source, .. } => source.location(),
             _ => None,
         }
     }
@@ -191,20 +191,20 @@ impl Error {
     /// The number of the frame that the error is about, and a message that names it. `frame` is that number,
     /// if the caller knows it and the error does not.
     pub fn about_frame(&self, frame: Option<u64>) -> (Option<u64>, String) {
-        let frame = self.place().and_then(|place| place.frame).or(frame);
+        let frame = self.location().and_then(|location| location.frame).or(frame);
         let what = self.to_string();
         // Messages about a group number the frames within it.
-        let unnamed = frame.filter(|_| !self.place().is_some_and(|place| place.names_frame));
+        let unnamed = frame.filter(|_| !self.location().is_some_and(|location| location.names_frame));
         let message = unnamed.map(|number| format!("frame {number}: {what}"));
         (frame, message.unwrap_or(what))
     }
 
-    fn place_mut(&mut self) -> Option<&mut Place> {
+    fn location_mut(&mut self) -> Option<&mut Location> {
         match self {
-            Error::Corrupt { place, .. }
-            | Error::Unsupported { place, .. }
-            | Error::NotBuilt { place, .. }
-            | Error::LimitExceeded { place, .. } => Some(place),
+            Error::Corrupt { location, .. }
+            | Error::Unsupported { location, .. }
+            | Error::NotBuilt { location, .. }
+            | Error::LimitExceeded { location, .. } => Some(location),
             _ => None,
         }
     }
@@ -214,7 +214,7 @@ impl Error {
 /// inwards, each followed by a colon.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Place {
+pub struct Location {
     /// Number of the frame, the first being 0.
     pub frame: Option<u64>,
     /// The section of the frame.
@@ -225,7 +225,7 @@ pub struct Place {
     parts: Vec<String>,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for Location {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.parts.iter().rev().try_for_each(|part| write!(f, "{part}: "))
     }

@@ -1,7 +1,7 @@
 //! The user's settings for encoding.
 
 use crate::backend::Level;
-use crate::frame::Intensity;
+use crate::frame::IntensityFidelity;
 use crate::frame::settings::{EncoderConfig, Mode};
 use crate::ground::error::{Error, Result};
 
@@ -101,7 +101,7 @@ impl Settings {
         config.gop = self.group_of_pictures.unwrap_or(config.default_gop());
         if let Some(step) = self.intensity_step {
             // NaN becomes 0, and what is too large the largest integer, both of which are rejected.
-            config.intensity = Intensity::Rounded { step_millionths: (step * 1e6).round() as u32 };
+            config.intensity = IntensityFidelity::Rounded { step_millionths: (step * 1e6).round() as u32 };
         }
         config.check()?;
         Ok(config)

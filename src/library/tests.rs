@@ -394,10 +394,10 @@ fn errors_say_where_they_are() {
         stream[place] ^= 1;
         let error = Decoder::open(Cursor::new(&stream)).and_then(|mut decoder| decoder.scan(7)).err();
         stream[place] ^= 1;
-        error.filter(|error| error.place().is_some_and(|place| place.section.is_some()))
+        error.filter(|error| error.location().is_some_and(|place| place.section.is_some()))
     });
     let error = error.unwrap();
-    assert_eq!(error.place().unwrap().frame, Some(7), "{error}");
+    assert_eq!(error.location().unwrap().frame, Some(7), "{error}");
     assert!(error.to_string().starts_with("damaged stream: group 1: frame 3 of the group: "), "{error}");
 }
 

@@ -3,7 +3,7 @@
 //! and NaN, in turn), or anything else. FORMAT.md 8.19.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::scanner::Coordinates;
+use crate::scanner::CoordinateGrid;
 
 /// Number of positions that are remembered.
 const KEPT: usize = 2;
@@ -77,10 +77,10 @@ impl BlankModel {
                 }
                 Kind::Other => {
                     for axis in 0..3 {
-                        let before = Coordinates::unit_of_float(kept[last][axis]);
-                        let difference = Coordinates::unit_of_float(position[axis]) - before;
+                        let before = CoordinateGrid::unit_of_float(kept[last][axis]);
+                        let difference = CoordinateGrid::unit_of_float(position[axis]) - before;
                         let difference = self.differences[axis].code_signed(coder, difference);
-                        position[axis] = Coordinates::Float32.value(before.wrapping_add(difference), 0.0);
+                        position[axis] = CoordinateGrid::Float32.value(before.wrapping_add(difference), 0.0);
                     }
                     last = (last + 1) % KEPT;
                     kept[last] = *position;

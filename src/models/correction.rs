@@ -5,7 +5,7 @@ use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel, TokenCoder};
 use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scan::squared_distance;
-use crate::scanner::Coordinates;
+use crate::scanner::CoordinateGrid;
 
 /// Classes of the distance (in units) to the rounding boundary: the formula is accurate to a few micrometres,
 /// so only coordinates closer to a boundary are ever rounded to the other side.
@@ -55,7 +55,7 @@ impl CorrectionModel {
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        grid: Coordinates,
+        grid: CoordinateGrid,
         formula: impl FnOnce() -> [f64; 3],
         (near, max_error): ([f32; 3], Option<f64>),
         position: &mut [f32; 3],
@@ -84,7 +84,7 @@ impl CorrectionModel {
     pub fn correct<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        grid: Coordinates,
+        grid: CoordinateGrid,
         formula: [f64; 3],
         position: &mut [f32; 3],
     ) {
@@ -95,7 +95,7 @@ impl CorrectionModel {
                 std::array::from_fn(|axis| grid.unit_of(f64::from(position[axis])) - predicted[axis]);
         }
         match grid {
-            Coordinates::Millimetre => {
+            CoordinateGrid::Millimetre => {
                 self.code_roundings(coder, formula.map(|v| v * 1000.0), &mut corrections)
             }
             _ => self.code_floats(coder, formula, &mut corrections),
@@ -155,7 +155,7 @@ pub const CORRECTION_CONTEXTS: usize = 4;
 /// grid.
 pub fn correct_positions<C: TokenCoder>(
     coder: &mut C,
-    grid: Coordinates,
+    grid: CoordinateGrid,
     formula: impl Fn(usize) -> [f64; 3],
     (wanted, max_error): (&[[f32; 3]], Option<f64>),
     positions: &mut [[f32; 3]],

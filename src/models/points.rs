@@ -17,7 +17,7 @@ use trails::{TrailModel, Trails};
 use crate::entropy::{AdaptiveBit, ArithmeticEncoder, BitCoder, MixedBits, code_below_highest};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scan::Channel;
-use crate::scanner::Coordinates;
+use crate::scanner::CoordinateGrid;
 
 /// The adaptive models of points.
 #[derive(Clone, Default)]
@@ -34,7 +34,7 @@ pub struct PointModel {
 /// is empty.
 #[derive(Clone, Debug)]
 pub struct Analysis {
-    grid: Coordinates,
+    grid: CoordinateGrid,
     repeats: Vec<Repeat>,
     /// For each point that is not a repeat, the index of its predecessor on the same trail; both count such
     /// points only.
@@ -46,7 +46,7 @@ pub struct Analysis {
 
 impl Default for Analysis {
     fn default() -> Self {
-        Analysis { grid: Coordinates::Float32, repeats: Vec::new(), before: Vec::new(), sizes_by: None }
+        Analysis { grid: CoordinateGrid::Float32, repeats: Vec::new(), before: Vec::new(), sizes_by: None }
     }
 }
 
@@ -88,11 +88,11 @@ impl PointModel {
     /// `grid`; `None` means one that is found. A channel of these points may tell which laser measured them.
     pub fn analyse(
         &self,
-        grid: Option<Coordinates>,
+        grid: Option<CoordinateGrid>,
         positions: &[[f32; 3]],
         channels: &[Channel],
     ) -> Analysis {
-        let grid = grid.unwrap_or_else(|| Coordinates::of_most(positions));
+        let grid = grid.unwrap_or_else(|| CoordinateGrid::of_most(positions));
         let repeats = repeats::find(positions);
         let own = not_repeated(&repeats, |repeat| *repeat == Repeat::No);
         let (before, sizes_by) = self.find_trails(grid, positions, channels, &own);
@@ -104,7 +104,7 @@ impl PointModel {
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        grid: Option<Coordinates>,
+        grid: Option<CoordinateGrid>,
         positions: &mut [[f32; 3]],
         analysis: &Analysis,
     ) -> Vec<PointTrail> {
@@ -134,7 +134,7 @@ impl PointModel {
     /// takes the fewest bytes, and the bytes that decided it.
     fn find_trails(
         &self,
-        grid: Coordinates,
+        grid: CoordinateGrid,
         positions: &[[f32; 3]],
         channels: &[Channel],
         own: &[usize],
@@ -153,7 +153,7 @@ impl PointModel {
     /// About the number of bytes of the points `own`, from the first of them.
     fn size_of_own(
         &self,
-        grid: Coordinates,
+        grid: CoordinateGrid,
         positions: &[[f32; 3]],
         own: &[usize],
         known: &[Option<usize>],
@@ -169,7 +169,7 @@ impl PointModel {
     fn code_own<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        grid: Coordinates,
+        grid: CoordinateGrid,
         positions: &mut [[f32; 3]],
         own: &[usize],
         known: &[Option<usize>],
@@ -196,7 +196,7 @@ impl PointModel {
     fn code_point<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        grid: Coordinates,
+        grid: CoordinateGrid,
         trails: &mut Trails,
         places: &mut Vec<Place>,
         continues: bool,
@@ -270,7 +270,7 @@ impl CoordinateModel {
     fn code<C: BitCoder, const N: usize>(
         &mut self,
         coder: &mut C,
-        grid: Coordinates,
+        grid: CoordinateGrid,
         Expected { predictions, detail }: Expected<N>,
         trail_error: &mut f32,
         value: f32,
@@ -316,9 +316,9 @@ impl CoordinateModel {
 }
 
 /// Codes a grid by its numbers; those of none stand for `Float32`.
-fn code_grid<C: BitCoder>(coder: &mut C, grid: Coordinates) -> Coordinates {
+fn code_grid<C: BitCoder>(coder: &mut C, grid: CoordinateGrid) -> CoordinateGrid {
     let (kind, step) = grid.to_numbers();
     let kind = coder.code_plain(kind.into(), 3) as u32;
     let step = if kind < 2 { 0 } else { coder.code_plain(step.into(), 30) as u32 };
-    Coordinates::from_numbers(kind, step).unwrap_or(Coordinates::Float32)
+    CoordinateGrid::from_numbers(kind, step).unwrap_or(CoordinateGrid::Float32)
 }

@@ -7,7 +7,7 @@ use crate::ground::grid::Grid;
 use crate::ground::random::Rng;
 use crate::models::IntensityScale;
 use crate::scan::{Channel, Field, Scalar, squared_distance};
-use crate::scanner::Coordinates;
+use crate::scanner::CoordinateGrid;
 use proptest::prelude::*;
 
 /// Codes a section twice, as two frames of a group. Returns the encoder's values after the second time, and
@@ -220,7 +220,7 @@ proptest! {
         millimetres in any::<bool>(),
         bounded in any::<bool>(),
     ) {
-        let grid = if millimetres { Coordinates::Millimetre } else { Coordinates::Float32 };
+        let grid = if millimetres { CoordinateGrid::Millimetre } else { CoordinateGrid::Float32 };
         let formula = |point: usize| [0, 1, 2].map(|axis| f64::from(points[point].0 + axis) * 1.00037e-3);
         let near: Vec<_> = (0..points.len()).map(|point| formula(point).map(|v| grid.nearest(v))).collect();
         let off = |point: usize, axis: i32| {

@@ -11,7 +11,7 @@ use super::message::{self, Encoding};
 use super::records::{Faults, Output, Records, numbers_in};
 use crate::container::{FrameKind, Stamp, Time, TimeSource};
 use crate::frame::settings::EncoderConfig;
-use crate::frame::{Intensity, Positions};
+use crate::frame::{IntensityFidelity, PositionFidelity};
 use crate::ground::error::{Error, Result};
 use crate::library::{Decoder, Settings};
 use crate::stream::FrameInput;
@@ -61,7 +61,7 @@ pub fn pack<W: Write + Seek>(
     on_message: &(dyn Fn() + Sync),
 ) -> Result<CopySummary> {
     let config = &settings.config()?;
-    if config.positions == Positions::Formula || config.intensity == Intensity::None {
+    if config.positions == PositionFidelity::Formula || config.intensity == IntensityFidelity::None {
         return Err(Error::InvalidSettings(
             "paper mode drops points and intensities, which messages keep".to_owned(),
         ));

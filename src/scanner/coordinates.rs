@@ -7,7 +7,7 @@ use crate::ground::rounding::round_ties_even;
 
 /// The grid of the coordinates. A *unit* is the distance between neighbouring values of that grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Coordinates {
+pub enum CoordinateGrid {
     /// `float32(k / 1000)`, k whole millimetres: KITTI raw.
     Millimetre,
     /// Any float32: KITTI-360. Units count the representable values in ascending order.
@@ -25,28 +25,28 @@ pub enum Coordinates {
     Half,
 }
 
-impl Coordinates {
+impl CoordinateGrid {
     /// The grid of some coordinates (metres): millimetres if nearly all are whole millimetres. Those that are
     /// not finite stand for no place and do not count.
     pub fn of<'a>(values: impl Iterator<Item = &'a f32>) -> Self {
         let (mut on_grid, mut total) = (0usize, 0usize);
         for value in values.filter(|value| value.is_finite()) {
             total += 1;
-            on_grid += usize::from(Coordinates::Millimetre.unit_in_file(*value).is_some());
+            on_grid += usize::from(CoordinateGrid::Millimetre.unit_in_file(*value).is_some());
         }
-        if on_grid * 100 > total * 95 { Coordinates::Millimetre } else { Coordinates::Float32 }
+        if on_grid * 100 > total * 95 { CoordinateGrid::Millimetre } else { CoordinateGrid::Float32 }
     }
 
     /// The coarsest grid that contains all of some coordinates (metres): decimal places, decimal digits, or
     /// any float32.
     pub fn finest_of(values: &[f32]) -> Self {
-        let lattice = |step_nm: u64| Coordinates::Lattice { step_nm };
+        let lattice = |step_nm: u64| CoordinateGrid::Lattice { step_nm };
         let [centimetre, others @ ..] = [10_000_000, 100_000, 10_000, 1000].map(lattice);
-        let places = [centimetre, Coordinates::Millimetre].into_iter().chain(others);
-        let digits = (4..=8).map(Coordinates::Digits);
+        let places = [centimetre, CoordinateGrid::Millimetre].into_iter().chain(others);
+        let digits = (4..=8).map(CoordinateGrid::Digits);
         let mut grids = places.chain(digits);
-        let holds = |grid: &Coordinates| values.iter().all(|value| grid.unit_in_file(*value).is_some());
-        grids.find(holds).filter(|_| !values.is_empty()).unwrap_or(Coordinates::Float32)
+        let holds = |grid: &CoordinateGrid| values.iter().all(|value| grid.unit_in_file(*value).is_some());
+        grids.find(holds).filter(|_| !values.is_empty()).unwrap_or(CoordinateGrid::Float32)
     }
 
     /// The grid on which most of some positions (metres) lie and take the fewest bits: the widest one.
@@ -77,7 +77,7 @@ impl Coordinates {
         ];
         let sample = positions.iter().step_by(positions.len() / SAMPLE + 1).flatten();
         let values: Vec<f32> = sample.copied().filter(|value| value.is_finite()).collect();
-        let bits = |grid: &Coordinates| {
+        let bits = |grid: &CoordinateGrid| {
             let of_value = |&value: &f32| match grid.unit_in_file(value) {
                 Some(unit) => {
                     let next = grid.value(unit.wrapping_add(1), 0.0);
@@ -87,34 +87,34 @@ impl Coordinates {
             };
             values.iter().map(of_value).sum::<f64>()
         };
-        let lattices = STEPS.map(|step_nm| Coordinates::Lattice { step_nm });
-        let grids = [Coordinates::Float32, Coordinates::Millimetre].into_iter().chain(lattices);
+        let lattices = STEPS.map(|step_nm| CoordinateGrid::Lattice { step_nm });
+        let grids = [CoordinateGrid::Float32, CoordinateGrid::Millimetre].into_iter().chain(lattices);
         let grids = grids
-            .chain((4..=8).map(Coordinates::Digits))
-            .chain([Coordinates::Half])
+            .chain((4..=8).map(CoordinateGrid::Digits))
+            .chain([CoordinateGrid::Half])
             .map(|grid| (bits(&grid), grid));
-        grids.min_by(|(a, _), (b, _)| a.total_cmp(b)).map_or(Coordinates::Float32, |(_, grid)| grid)
+        grids.min_by(|(a, _), (b, _)| a.total_cmp(b)).map_or(CoordinateGrid::Float32, |(_, grid)| grid)
     }
 
     /// The numbers of a grid in a stream: its kind and its step. FORMAT.md 3.4.
     pub fn to_numbers(self) -> (u32, u32) {
         match self {
-            Coordinates::Float32 => (0, 0),
-            Coordinates::Millimetre => (1, 0),
-            Coordinates::Lattice { step_nm } => (2, step_nm as u32),
-            Coordinates::Digits(digits) => (3, digits.into()),
-            Coordinates::Half => (4, 0),
+            CoordinateGrid::Float32 => (0, 0),
+            CoordinateGrid::Millimetre => (1, 0),
+            CoordinateGrid::Lattice { step_nm } => (2, step_nm as u32),
+            CoordinateGrid::Digits(digits) => (3, digits.into()),
+            CoordinateGrid::Half => (4, 0),
         }
     }
 
     /// The inverse of [`to_numbers`](Self::to_numbers); `None` if the numbers do not fit together.
     pub fn from_numbers(kind: u32, step: u32) -> Option<Self> {
         match (kind, step) {
-            (0, 0) => Some(Coordinates::Float32),
-            (1, 0) => Some(Coordinates::Millimetre),
-            (2, 1..=LARGEST_STEP) => Some(Coordinates::Lattice { step_nm: step.into() }),
-            (3, 1..=9) => Some(Coordinates::Digits(step as u8)),
-            (4, 0) => Some(Coordinates::Half),
+            (0, 0) => Some(CoordinateGrid::Float32),
+            (1, 0) => Some(CoordinateGrid::Millimetre),
+            (2, 1..=LARGEST_STEP) => Some(CoordinateGrid::Lattice { step_nm: step.into() }),
+            (3, 1..=9) => Some(CoordinateGrid::Digits(step as u8)),
+            (4, 0) => Some(CoordinateGrid::Half),
             _ => None,
         }
     }
@@ -123,36 +123,36 @@ impl Coordinates {
     pub fn step_exponent(self, metres: f64) -> i32 {
         let exponent = |value: f64| (value.to_bits() >> 52 & 0x7ff) as i32 - 1023;
         match self {
-            Coordinates::Millimetre => -10,
-            Coordinates::Lattice { step_nm } => exponent(lattice_step(step_nm)),
-            Coordinates::Float32 => exponent(metres).clamp(-126, 127) - 23,
+            CoordinateGrid::Millimetre => -10,
+            CoordinateGrid::Lattice { step_nm } => exponent(lattice_step(step_nm)),
+            CoordinateGrid::Float32 => exponent(metres).clamp(-126, 127) - 23,
             // A digit has 10 / 3 bits.
-            Coordinates::Digits(digits) => exponent(metres).clamp(-126, 127) - i32::from(digits) * 10 / 3,
-            Coordinates::Half => exponent(metres).clamp(-126, 127) - 10,
+            CoordinateGrid::Digits(digits) => exponent(metres).clamp(-126, 127) - i32::from(digits) * 10 / 3,
+            CoordinateGrid::Half => exponent(metres).clamp(-126, 127) - 10,
         }
     }
 
     /// The number of a file's grid in a stream.
     pub fn to_code(self) -> u64 {
-        u64::from(self != Coordinates::Millimetre)
+        u64::from(self != CoordinateGrid::Millimetre)
     }
 
     /// The inverse of [`to_code`](Self::to_code); any other number counts as 1.
     pub fn from_code(code: u64) -> Self {
-        if code == 0 { Coordinates::Millimetre } else { Coordinates::Float32 }
+        if code == 0 { CoordinateGrid::Millimetre } else { CoordinateGrid::Float32 }
     }
 
     /// The unit nearest to a value of the formula in metres: below 2^40, and 0 for NaN.
     pub fn unit_of(self, metres: f64) -> i64 {
         match self {
             _ if metres.is_nan() => 0,
-            Coordinates::Millimetre => round_ties_even((metres * 1000.0).clamp(-1e12, 1e12)) as i64,
-            Coordinates::Float32 => ordered(metres as f32),
-            Coordinates::Lattice { step_nm } => {
+            CoordinateGrid::Millimetre => round_ties_even((metres * 1000.0).clamp(-1e12, 1e12)) as i64,
+            CoordinateGrid::Float32 => ordered(metres as f32),
+            CoordinateGrid::Lattice { step_nm } => {
                 round_ties_even((metres / lattice_step(step_nm)).clamp(-1e12, 1e12)) as i64
             }
-            Coordinates::Digits(digits) => decimal_unit(metres, digits),
-            Coordinates::Half => half_unit(metres as f32),
+            CoordinateGrid::Digits(digits) => decimal_unit(metres, digits),
+            CoordinateGrid::Half => half_unit(metres as f32),
         }
     }
 
@@ -160,19 +160,19 @@ impl Coordinates {
     /// before rounding.
     pub fn value(self, unit: i64, formula: f64) -> f32 {
         match self {
-            Coordinates::Float32 => from_ordered(unit),
+            CoordinateGrid::Float32 => from_ordered(unit),
             _ if unit == 0 => zero_of(formula),
-            Coordinates::Millimetre => (unit as f64 / 1000.0) as f32,
-            Coordinates::Lattice { step_nm } => (unit as f64 * lattice_step(step_nm)) as f32,
-            Coordinates::Digits(digits) => decimal_value(unit, digits),
-            Coordinates::Half => half_value(unit),
+            CoordinateGrid::Millimetre => (unit as f64 / 1000.0) as f32,
+            CoordinateGrid::Lattice { step_nm } => (unit as f64 * lattice_step(step_nm)) as f32,
+            CoordinateGrid::Digits(digits) => decimal_value(unit, digits),
+            CoordinateGrid::Half => half_value(unit),
         }
     }
 
     /// The coordinate nearest to `formula`, in metres: [`value`](Self::value) of [`unit_of`](Self::unit_of).
     #[inline]
     pub fn nearest(self, formula: f64) -> f32 {
-        if self == Coordinates::Float32 {
+        if self == CoordinateGrid::Float32 {
             // The same result without the conversion to a unit.
             return if formula.is_nan() { 0.0 } else { formula as f32 };
         }
@@ -185,7 +185,7 @@ impl Coordinates {
     pub fn holds(self, value: f32, formula: f64) -> bool {
         match self {
             // Beyond 1,000 km the grid is finer than float32, and no scanner has such ranges.
-            Coordinates::Millimetre => {
+            CoordinateGrid::Millimetre => {
                 let own = f64::from(value);
                 let signed = if value == 0.0 { f64::from(zero_of(formula)) } else { own };
                 (nearest_millimetre(own.abs().copysign(signed)).to_bits() == value.to_bits())
@@ -198,7 +198,7 @@ impl Coordinates {
     /// Whether [`holds`](Self::holds) is true for all these values.
     #[inline(always)]
     pub fn holds_all<const N: usize>(self, values: [f64; N], formula: [f64; N]) -> bool {
-        if self == Coordinates::Millimetre {
+        if self == CoordinateGrid::Millimetre {
             // A shortcut for the most frequent case: values on the grid other than 0, whose sign need not be
             // checked.
             let mut all = true;
@@ -221,7 +221,7 @@ impl Coordinates {
     /// Whether [`value`](Self::value) returns a zero with the sign of this zero.
     fn keeps_zero(self, zero: f32, formula: f64) -> bool {
         match self {
-            Coordinates::Float32 => true,
+            CoordinateGrid::Float32 => true,
             _ => zero.to_bits() == zero_of(formula).to_bits(),
         }
     }
@@ -229,14 +229,14 @@ impl Coordinates {
     /// The unit of a coordinate of the file, if the grid contains exactly that value.
     pub fn unit_in_file(self, value: f32) -> Option<i64> {
         match self {
-            Coordinates::Millimetre => {
+            CoordinateGrid::Millimetre => {
                 // Beyond 1,000 km the grid is finer than float32, and no scanner has such ranges.
                 let unit = self.unit_of(f64::from(value));
                 let on_grid = value.abs() < 1e6 && (unit as f64 / 1000.0) as f32 == value;
                 on_grid.then_some(unit)
             }
-            Coordinates::Float32 => value.is_finite().then(|| ordered(value)),
-            Coordinates::Lattice { .. } | Coordinates::Digits(_) | Coordinates::Half => {
+            CoordinateGrid::Float32 => value.is_finite().then(|| ordered(value)),
+            CoordinateGrid::Lattice { .. } | CoordinateGrid::Digits(_) | CoordinateGrid::Half => {
                 let unit = self.unit_of(f64::from(value));
                 let near = self.value(unit, f64::from(value));
                 (value.is_finite() && near.to_bits() == value.to_bits()).then_some(unit)
@@ -322,7 +322,7 @@ fn lattice_step(step_nm: u64) -> f64 {
 }
 
 /// The millimetre nearest to `formula`, in metres, with the sign kept even for zero: up to 2,000 km the same
-/// as [`Coordinates::nearest`], but without a division.
+/// as [`CoordinateGrid::nearest`], but without a division.
 #[inline]
 pub fn nearest_millimetre(formula: f64) -> f32 {
     let unit = round_ties_even((formula * 1000.0).clamp(-1e12, 1e12));
@@ -344,17 +344,17 @@ mod tests {
     #[test]
     fn float_units_count_the_representable_values() {
         for value in [0.0f32, -0.0, 1.0, -1.5, 1e-40, -3e38, 80.123] {
-            let unit = Coordinates::Float32.unit_in_file(value).unwrap();
-            assert_eq!(Coordinates::Float32.value(unit, 0.0).to_bits(), value.to_bits());
+            let unit = CoordinateGrid::Float32.unit_in_file(value).unwrap();
+            assert_eq!(CoordinateGrid::Float32.value(unit, 0.0).to_bits(), value.to_bits());
         }
         assert_eq!(ordered(0.0) - ordered(-0.0), 1);
         assert_eq!(ordered(1.0f32.next_up()) - ordered(1.0), 1);
-        assert_eq!(Coordinates::Float32.unit_in_file(f32::NAN), None);
+        assert_eq!(CoordinateGrid::Float32.unit_in_file(f32::NAN), None);
     }
 
     #[test]
     fn half_precision_has_eleven_bits() {
-        let half = Coordinates::Half;
+        let half = CoordinateGrid::Half;
         for value in [1.0f32, -1.5, 2047.0, -2046.0, 4094.0, 2f32.powi(-24), 65504.0, 3e38] {
             let value = half.nearest(value.into());
             let unit = half.unit_in_file(value).unwrap();
@@ -368,7 +368,7 @@ mod tests {
         assert_eq!([0.0f32, -0.0].map(|zero| half.unit_in_file(zero)), [Some(0); 2]);
         let values =
             (1..200).map(|i| [0.3711, -0.1373, 0.0117].map(|step| half.nearest(step * f64::from(i))));
-        assert_eq!(Coordinates::of_most(&values.collect::<Vec<_>>()), half);
+        assert_eq!(CoordinateGrid::of_most(&values.collect::<Vec<_>>()), half);
     }
 
     #[test]
@@ -384,11 +384,13 @@ mod tests {
     fn the_quick_ways_to_round_and_to_look_agree_with_the_others() {
         let values =
             [0.0, -0.0, 1e-4, -1e-4, 5e-4, -5e-4, 1.0005, -80.1234, 1e9, -1e30, f64::INFINITY, f64::NAN];
-        for grid in
-            [Coordinates::Millimetre, Coordinates::Float32, Coordinates::Lattice { step_nm: 20_000_000 }]
-        {
+        for grid in [
+            CoordinateGrid::Millimetre,
+            CoordinateGrid::Float32,
+            CoordinateGrid::Lattice { step_nm: 20_000_000 },
+        ] {
             for formula in values {
-                if grid == Coordinates::Millimetre && (formula.abs() < 2e6 || formula.is_nan()) {
+                if grid == CoordinateGrid::Millimetre && (formula.abs() < 2e6 || formula.is_nan()) {
                     assert_eq!(
                         nearest_millimetre(formula).to_bits(),
                         grid.nearest(formula).to_bits(),
@@ -409,7 +411,7 @@ mod tests {
     #[test]
     fn decimal_grids_hold_what_text_holds() {
         for digits in 4..=8u8 {
-            let grid = Coordinates::Digits(digits);
+            let grid = CoordinateGrid::Digits(digits);
             let mut last = i64::MIN;
             for value in [
                 -3e38f32,
@@ -434,28 +436,31 @@ mod tests {
             }
         }
         let nan = f32::NAN;
-        assert_eq!(Coordinates::of([1.234, nan, nan, -2.5, nan].iter()), Coordinates::Millimetre);
-        assert_eq!(Coordinates::of([1.0 / 3.0, nan, nan, nan].iter()), Coordinates::Float32);
-        assert_eq!(Coordinates::finest_of(&[1.5, -20.25]), Coordinates::Lattice { step_nm: 10_000_000 });
-        let centimetres = Coordinates::finest_of(&[1.25, -0.0, 0.0]);
-        assert_eq!(centimetres, Coordinates::Lattice { step_nm: 10_000_000 });
+        assert_eq!(CoordinateGrid::of([1.234, nan, nan, -2.5, nan].iter()), CoordinateGrid::Millimetre);
+        assert_eq!(CoordinateGrid::of([1.0 / 3.0, nan, nan, nan].iter()), CoordinateGrid::Float32);
+        assert_eq!(
+            CoordinateGrid::finest_of(&[1.5, -20.25]),
+            CoordinateGrid::Lattice { step_nm: 10_000_000 }
+        );
+        let centimetres = CoordinateGrid::finest_of(&[1.25, -0.0, 0.0]);
+        assert_eq!(centimetres, CoordinateGrid::Lattice { step_nm: 10_000_000 });
         assert_eq!(centimetres.value(0, -1e-3).to_bits(), (-0.0f32).to_bits());
-        assert_eq!(Coordinates::finest_of(&[1.501, -20.25]), Coordinates::Millimetre);
-        assert_eq!(Coordinates::finest_of(&[12.3456, -0.012_345_6]), Coordinates::Digits(6));
+        assert_eq!(CoordinateGrid::finest_of(&[1.501, -20.25]), CoordinateGrid::Millimetre);
+        assert_eq!(CoordinateGrid::finest_of(&[12.3456, -0.012_345_6]), CoordinateGrid::Digits(6));
         let mut neighbours: Vec<f32> = (0..64).map(|i| f32::from_bits(120f32.to_bits() + i)).collect();
         neighbours.push(0.123_456_79);
-        assert_eq!(Coordinates::finest_of(&neighbours), Coordinates::Float32);
-        assert_eq!(Coordinates::Digits(6).unit_in_file(f32::INFINITY), None);
+        assert_eq!(CoordinateGrid::finest_of(&neighbours), CoordinateGrid::Float32);
+        assert_eq!(CoordinateGrid::Digits(6).unit_in_file(f32::INFINITY), None);
         for unit in [i64::MIN, i64::MAX, -1, 1] {
-            assert!(!Coordinates::Digits(8).value(unit, 0.0).is_nan());
+            assert!(!CoordinateGrid::Digits(8).value(unit, 0.0).is_nan());
         }
     }
 
     #[test]
     fn most_points_tell_their_grid() {
-        let lattice = |step_nm: u64| Coordinates::Lattice { step_nm };
+        let lattice = |step_nm: u64| CoordinateGrid::Lattice { step_nm };
         let grids = [lattice(100_000_000), lattice(10_000_000), lattice(5_000_000), lattice(3_906_250)];
-        let others = [Coordinates::Millimetre, Coordinates::Digits(5), Coordinates::Float32];
+        let others = [CoordinateGrid::Millimetre, CoordinateGrid::Digits(5), CoordinateGrid::Float32];
         for grid in grids.into_iter().chain(others) {
             let on_grid = |metres: f64| grid.nearest(metres);
             let angle = |i: i32| f64::from(i) * 0.618_034;
@@ -463,24 +468,24 @@ mod tests {
             let point =
                 |i: i32| [far(i) * angle(i).cos(), far(i) * angle(i).sin(), far(i) * 0.05 - 1.7].map(on_grid);
             let mut points: Vec<_> = (0..5000).map(point).collect();
-            assert_eq!(Coordinates::of_most(&points), grid);
+            assert_eq!(CoordinateGrid::of_most(&points), grid);
             // Nearly all suffice.
             points.iter_mut().step_by(50).for_each(|point| point[0] = f32::NAN);
             points.iter_mut().skip(1).step_by(50).for_each(|point| point[0] = 1.234_567_8);
-            assert_eq!(Coordinates::of_most(&points), grid);
+            assert_eq!(CoordinateGrid::of_most(&points), grid);
             let (kind, step) = grid.to_numbers();
-            assert_eq!(Coordinates::from_numbers(kind, step), Some(grid));
+            assert_eq!(CoordinateGrid::from_numbers(kind, step), Some(grid));
         }
         // Far from the origin float32 itself is a coarser grid than millimetres.
         let map: Vec<_> = (0..3000).map(|i| [5e5 + 0.37 * i as f32, 4e6, 123.0]).collect();
-        assert_eq!(Coordinates::of_most(&map), Coordinates::Float32);
-        assert_eq!(Coordinates::of_most(&[]), Coordinates::Float32);
-        assert_eq!(Coordinates::from_numbers(2, 0), None);
+        assert_eq!(CoordinateGrid::of_most(&map), CoordinateGrid::Float32);
+        assert_eq!(CoordinateGrid::of_most(&[]), CoordinateGrid::Float32);
+        assert_eq!(CoordinateGrid::from_numbers(2, 0), None);
     }
 
     #[test]
     fn the_millimetre_grid_holds_thousandths_and_both_zeros() {
-        let grid = Coordinates::Millimetre;
+        let grid = CoordinateGrid::Millimetre;
         for k in (-120_000i64..120_000).step_by(7) {
             let value = (k as f64 / 1000.0) as f32;
             assert_eq!(grid.unit_in_file(value), Some(k));

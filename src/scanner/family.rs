@@ -6,7 +6,7 @@ use std::fmt;
 use super::firings::{self, Firings};
 use super::hdl64::{self, Hdl64};
 use super::motion::by_time;
-use super::{Coordinates, MOST_STEPS, Orientation, Projection, REACH, RangeImage, Return};
+use super::{CoordinateGrid, MOST_STEPS, Orientation, Projection, REACH, RangeImage, Return};
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -38,7 +38,7 @@ const FIRINGS: u64 = 2;
 /// The adaptive models of columns, whatever the family.
 #[derive(Clone, Default)]
 pub struct ColumnModels {
-    hdl64: hdl64::ColumnModel,
+    hdl64: hdl64::Hdl64ColumnModel,
     firings: firings::FiringColumnModel,
 }
 
@@ -308,7 +308,7 @@ impl Scanner {
     }
 
     /// The grid of the file's coordinates.
-    pub fn coordinates(&self) -> Coordinates {
+    pub fn coordinates(&self) -> CoordinateGrid {
         match &self.family {
             Family::Hdl64(scanner) => scanner.coordinates,
             Family::Firings(scanner) => scanner.build().coordinates,
@@ -418,7 +418,7 @@ impl Scanner {
         match &self.family {
             Family::Hdl64(scanner) => hdl64::positions(scanner, returns, offset_m, on_grid),
             Family::Firings(scanner) => {
-                let grid = if on_grid { scanner.build().coordinates } else { Coordinates::Float32 };
+                let grid = if on_grid { scanner.build().coordinates } else { CoordinateGrid::Float32 };
                 scanner.positions(returns, offset_m, grid)
             }
         }

@@ -5,7 +5,7 @@
 use std::f64::consts::TAU;
 
 use super::hdl64::{BeamConstants, Hdl64};
-use super::{Coordinates, Scanner};
+use super::{CoordinateGrid, Scanner};
 
 /// Elevation of the highest beam of the HDL-64E's upper block, in degrees (user's manual).
 const UPPER_TOP: f64 = 2.0;
@@ -30,7 +30,7 @@ pub fn ideal(columns: u32, range_step_um: u32) -> Hdl64 {
 /// As [`ideal`], with beams at these elevations in radians.
 fn ideal_at(elevations: impl Iterator<Item = f64>, columns: u32, range_step_um: u32) -> Hdl64 {
     let beams = elevations.map(|radians| BeamConstants::quantise([radians, 0.0, 0.0, 0.0, 0.0])).collect();
-    Hdl64::new(Coordinates::Float32, columns, range_step_um, beams)
+    Hdl64::new(CoordinateGrid::Float32, columns, range_step_um, beams)
 }
 
 /// The ideal scanner for the scans of `scanner`: with its own elevations if it is of the `firings` family,

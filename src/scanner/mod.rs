@@ -11,7 +11,7 @@ mod ideal;
 mod orientation;
 mod range_image;
 
-pub use coordinates::{Coordinates, nearest_millimetre};
+pub use coordinates::{CoordinateGrid, nearest_millimetre};
 pub use family::{ColumnModels, Family, Scanner};
 pub use ideal::{ideal, ideal_of};
 pub use orientation::Orientation;

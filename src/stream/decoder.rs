@@ -10,7 +10,7 @@ use super::source::{GroupJob, IndexedGroups, StreamedGroups};
 use crate::container::{CodedFrame, FrameHeader, IndexedReader, StreamReader};
 use crate::files;
 use crate::frame::group::{DecodedImage, DecodedScan, GroupDecoder};
-use crate::frame::parameters::Source;
+use crate::frame::parameters::OriginalFile;
 use crate::frame::stages::StageReport;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::ScanFile;
@@ -27,7 +27,7 @@ pub struct DecodedFrame {
     /// The file, split into points and the bytes around them.
     pub scan: ScanFile,
     /// Properties of the original file, if it is not restored exactly.
-    pub source: Option<Source>,
+    pub source: Option<OriginalFile>,
     /// Whether it has the points of the original file in the same order.
     pub keeps_order: bool,
     /// The range image, if there is one and it was requested.

@@ -4,13 +4,13 @@ use std::io::Write;
 
 use super::encoder::EncodedGroup;
 use crate::container::{CodedFrame, FrameHeader, FrameKind, Index, ScannerRecord, SectionKind, StreamWriter};
-use crate::frame::parameters::{FrameParameters, Source};
+use crate::frame::parameters::{FrameParameters, OriginalFile};
 use crate::frame::stages::StageReport;
 use crate::ground::error::Result;
 
 /// Statistics of an encoded stream.
 #[derive(Clone, Debug, Default)]
-pub struct Encoded {
+pub struct EncodeStatistics {
     /// The headers of the frames, in order.
     pub frames: Vec<FrameHeader>,
     /// Time and size of each stage; where several predictions were tried, those of the chosen one.
@@ -39,7 +39,7 @@ pub struct Encoded {
     pub stream_bytes: u64,
 }
 
-impl Encoded {
+impl EncodeStatistics {
     /// Bytes of all original files.
     pub fn file_bytes(&self) -> u64 {
         self.stages.original
@@ -47,18 +47,18 @@ impl Encoded {
 }
 
 /// A frame of the stream.
-pub(crate) struct FrameOfStream {
+pub(crate) struct FrameStatistics {
     /// The frame header.
     pub header: FrameHeader,
     pub stages: StageReport,
     /// The original file.
-    pub source: Source,
+    pub source: OriginalFile,
     pub is_modelled: bool,
     /// Whether it is restored exactly.
     pub is_exact: bool,
 }
 
-impl FrameOfStream {
+impl FrameStatistics {
     /// The frame that was coded as this one.
     ///
     /// # Errors
@@ -67,14 +67,14 @@ impl FrameOfStream {
         let is_modelled = frame.header.stamp.kind == FrameKind::Beside
             || frame.sections.iter().all(|section| section.kind != SectionKind::Bytes);
         let is_exact = FrameParameters::of(frame)?.source.is_none();
-        let (header, source) = (frame.header.clone(), Source::of(frame)?);
-        Ok(FrameOfStream { header, stages, source, is_modelled, is_exact })
+        let (header, source) = (frame.header.clone(), OriginalFile::of(frame)?);
+        Ok(FrameStatistics { header, stages, source, is_modelled, is_exact })
     }
 }
 
-impl Encoded {
+impl EncodeStatistics {
     /// Adds the next frame.
-    pub(crate) fn add(&mut self, frame: FrameOfStream) {
+    pub(crate) fn add(&mut self, frame: FrameStatistics) {
         self.stages.add(&frame.stages);
         self.frame_stages.push(frame.stages);
         // A resumed stream tells these numbers of its frames, and anything may stand there.
@@ -95,7 +95,7 @@ impl Encoded {
 /// A stream to which groups are written.
 pub(crate) struct OpenStream<W> {
     writer: StreamWriter<W>,
-    encoded: Encoded,
+    encoded: EncodeStatistics,
 }
 
 impl<W: Write> OpenStream<W> {
@@ -108,7 +108,7 @@ impl<W: Write> OpenStream<W> {
         for scanner in scanners {
             writer.write_scanner(scanner)?;
         }
-        Ok(OpenStream { writer, encoded: Encoded::default() })
+        Ok(OpenStream { writer, encoded: EncodeStatistics::default() })
     }
 
     /// Continues a stream that already has these contents, `position` bytes long, with these scanners.
@@ -116,7 +116,7 @@ impl<W: Write> OpenStream<W> {
         out: W,
         (index, position): (Index, u64),
         scanners: &[ScannerRecord],
-        encoded: Encoded,
+        encoded: EncodeStatistics,
     ) -> Result<Self> {
         Ok(OpenStream { writer: StreamWriter::resume(out, index, position, scanners)?, encoded })
     }
@@ -131,14 +131,14 @@ impl<W: Write> OpenStream<W> {
         for EncodedGroup { group, stages, .. } in groups {
             self.writer.write_group(group)?;
             for (frame, stages) in group.frames.iter().zip(stages) {
-                self.encoded.add(FrameOfStream::of(frame, *stages)?);
+                self.encoded.add(FrameStatistics::of(frame, *stages)?);
             }
         }
         Ok(())
     }
 
     /// Writes the index and the end.
-    pub fn finish(mut self) -> Result<Encoded> {
+    pub fn finish(mut self) -> Result<EncodeStatistics> {
         (_, self.encoded.stream_bytes) = self.writer.finish()?;
         Ok(self.encoded)
     }

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::io::Write;
 use std::mem;
 
-use super::encoded::{Encoded, OpenStream};
+use super::encoded::{EncodeStatistics, OpenStream};
 use super::input::{FrameInput, ReadFrame};
 use super::ordered::run_ordered;
 use super::scanner_choice::{DriveScanners, choose_scanners, records_of};
@@ -30,7 +30,7 @@ pub fn encode<W: Write>(
     config: &EncoderConfig,
     out: W,
     on_frame: &(dyn Fn() + Sync),
-) -> Result<Encoded> {
+) -> Result<EncodeStatistics> {
     config.check()?;
     encode_groups(&choose_scanners(frames, config)?, groups_of(frames, config), config, out, on_frame)
 }
@@ -46,7 +46,7 @@ pub fn encode_live<W: Write>(
     config: &EncoderConfig,
     out: W,
     on_frame: &(dyn Fn() + Sync),
-) -> Result<Encoded> {
+) -> Result<EncodeStatistics> {
     config.check()?;
     let mut frames = frames.fuse();
     let mut groups = std::iter::from_fn(|| {
@@ -82,7 +82,7 @@ fn encode_groups<'f, W: Write>(
     config: &EncoderConfig,
     out: W,
     on_frame: &(dyn Fn() + Sync),
-) -> Result<Encoded> {
+) -> Result<EncodeStatistics> {
     let mut stream = OpenStream::begin(out, &records_of(scanners))?;
     let coder = SequenceCoder::new(scanners, config, on_frame);
     coder.run(groups, |groups| stream.write(&groups))?;

@@ -13,7 +13,7 @@ pub(crate) mod scanner_choice;
 pub(crate) mod source;
 
 pub use decoder::{DecodedFrame, decode, decode_indexed};
-pub use encoded::Encoded;
+pub use encoded::EncodeStatistics;
 pub use encoder::{encode, encode_known, encode_live};
 pub use input::FrameInput;
 pub use options::{DecodeOptions, FrameRange};

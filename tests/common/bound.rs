@@ -1,7 +1,7 @@
 //! Checks the error bound of bounded mode by comparing files.
 
 use lidarpc::internals::files::{parse, parse_like};
-use lidarpc::internals::frame::Intensity;
+use lidarpc::internals::frame::IntensityFidelity;
 use lidarpc::internals::frame::settings::{EncoderConfig, Mode};
 use lidarpc::internals::scan::ScanFile;
 
@@ -53,7 +53,7 @@ pub fn check_bound(files: &[File], decoded: &[File], config: &EncoderConfig, max
         }
         for (p, q) in a.cloud.intensity.iter().zip(&b.cloud.intensity) {
             match config.intensity {
-                Intensity::Rounded { step_millionths } if p.is_finite() => {
+                IntensityFidelity::Rounded { step_millionths } if p.is_finite() => {
                     let error = (f64::from(*p) - f64::from(*q)).abs();
                     let rounding = 1e-7 * f64::from(p.abs());
                     assert!(

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use lidarpc::internals::scan::sorted::file_order;
 use lidarpc::internals::scan::{Channel, Field, Scalar};
 use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Origin, Recipe, Timing};
-use lidarpc::internals::scanner::{Coordinates, Echo, RangeImage, Return};
+use lidarpc::internals::scanner::{CoordinateGrid, Echo, RangeImage, Return};
 
 use super::scans::Points;
 
@@ -40,7 +40,7 @@ pub fn made_up(recipe: Recipe) -> Firings {
         Recipe::VelodyneDecoderHdl32e => Origin { along_um: 28_956, up_um: 0 },
         _ => Origin::default(),
     };
-    let coordinates = Coordinates::Float32;
+    let coordinates = CoordinateGrid::Float32;
     let build =
         Build { recipe, ticks, range_step_um, coordinates, origin, timing: Timing::Together, mounting: None };
     Firings::new(build, (0..32).map(laser).collect(), (0..32).map(|slot| slot * 5 % 32).collect())

@@ -1,6 +1,6 @@
 use super::*;
 use crate::scanner::hdl64::BeamConstants;
-use crate::scanner::{Coordinates, RangeImage, ideal};
+use crate::scanner::{CoordinateGrid, RangeImage, ideal};
 
 /// The image of a scene: `range` returns the range in metres, if any, for the elevation and the azimuth
 /// (radians) of a beam.
@@ -70,7 +70,7 @@ fn beams_that_point_aside_see_the_same() {
         ..BeamConstants::quantise([ideal(360, 10_000).elevation(row), 0.0, 0.0, 0.0, 0.0])
     };
     let beams = (0..64).map(beam).collect();
-    let scanner = Hdl64::new(Coordinates::Float32, 360, 10_000, beams);
+    let scanner = Hdl64::new(CoordinateGrid::Float32, 360, 10_000, beams);
     let found = labels_of(&image_of(&scanner, two_posts), &scanner);
     let (straight, straight_scanner) = image(two_posts);
     let expected = labels_of(&straight, &straight_scanner);

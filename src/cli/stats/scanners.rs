@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use crate::cli::table;
 use crate::container::{Group, ScannerId, ScannerRecord};
 use crate::frame::group::{Explained, GroupDecoder};
-use crate::frame::{FrameParameters, Positions, StageReport};
+use crate::frame::{FrameParameters, PositionFidelity, StageReport};
 use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
 use crate::study::metrics;
@@ -66,7 +66,7 @@ impl KnownScanners {
                 continue;
             };
             let decode = || {
-                if FrameParameters::of(frame)?.positions != Positions::Exact {
+                if FrameParameters::of(frame)?.positions != PositionFidelity::Exact {
                     return Ok(None);
                 }
                 let tracks = (0..=track).map(|place| (place == track).then_some(&*scanner));

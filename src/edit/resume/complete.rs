@@ -7,7 +7,7 @@ use super::fingerprint::fingerprint;
 use crate::container::{FrameHeader, Record, ScannerId, ScannerRecord, StreamReader};
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::encoded::{Encoded, FrameOfStream};
+use crate::stream::encoded::{EncodeStatistics, FrameStatistics};
 use crate::stream::encoder::{SequenceCoder, groups_of};
 use crate::stream::input::FrameInput;
 use crate::stream::ordered::run_ordered;
@@ -25,7 +25,7 @@ pub fn confirm_complete(
     config: &EncoderConfig,
     stream: &File,
     on_frame: &(dyn Fn() + Sync),
-) -> Result<Encoded> {
+) -> Result<EncodeStatistics> {
     config.check()?;
     let Complete { encoded, scanners, groups } = Complete::read(stream).map_err(|error| match error {
         Error::Io(_) => error,
@@ -78,7 +78,7 @@ const OTHER_SETTINGS: &str = "was made with other settings, of other files, or b
 
 /// The contents of a complete stream.
 struct Complete {
-    encoded: Encoded,
+    encoded: EncodeStatistics,
     /// The checksums of its scanners.
     scanners: Vec<ScannerId>,
     /// Number of frames and fingerprint of each group.
@@ -90,11 +90,11 @@ impl Complete {
     /// If the stream is damaged anywhere, or not complete.
     fn read(stream: &File) -> Result<Self> {
         let mut reader = StreamReader::open(BufReader::new(stream), Limits::default())?;
-        let (mut encoded, mut groups) = (Encoded::default(), Vec::new());
+        let (mut encoded, mut groups) = (EncodeStatistics::default(), Vec::new());
         while let Some(record) = reader.next_record()? {
             let Record::Group(group) = record else { continue };
             for frame in &group.frames {
-                encoded.add(FrameOfStream::kept(frame)?);
+                encoded.add(FrameStatistics::kept(frame)?);
             }
             groups.push((group.frames.len(), fingerprint([&group])));
         }

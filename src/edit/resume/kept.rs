@@ -9,7 +9,7 @@ use super::settings::Settings;
 use crate::container::{CodedFrame, Index, Record, StreamReader};
 use crate::frame::stages::StageReport;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::encoded::{Encoded, FrameOfStream};
+use crate::stream::encoded::{EncodeStatistics, FrameStatistics};
 
 /// The beginning of a partial stream that is intact and recorded in the journal.
 #[derive(Default)]
@@ -21,7 +21,7 @@ pub struct IntactPart {
     /// The locations of its records.
     pub index: Index,
     /// Statistics of its contents.
-    pub encoded: Encoded,
+    pub encoded: EncodeStatistics,
     /// Its length in bytes.
     pub stream_end: u64,
     /// Length in bytes of the part of the journal that describes it.
@@ -57,7 +57,7 @@ impl IntactPart {
 ///
 /// # Errors
 /// If it contradicts the journal.
-fn read_part(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Vec<FrameOfStream>> {
+fn read_part(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Vec<FrameStatistics>> {
     let mut groups = Vec::new();
     while reader.position() < entry.stream_end {
         match reader.next_record()? {
@@ -73,13 +73,13 @@ fn read_part(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Vec<
     if !is_same {
         return Err(Error::corrupt("it is not what the journal tells"));
     }
-    frames().map(FrameOfStream::kept).collect()
+    frames().map(FrameStatistics::kept).collect()
 }
 
-impl FrameOfStream {
+impl FrameStatistics {
     /// A frame that was encoded by an earlier run.
     pub(super) fn kept(frame: &CodedFrame) -> Result<Self> {
-        let mut kept = FrameOfStream::of(frame, StageReport::default())?;
+        let mut kept = FrameStatistics::of(frame, StageReport::default())?;
         // The size of the original file, if it differs from the decoded one.
         kept.stages = StageReport { frames: 1, original: kept.source.file_size, ..StageReport::default() };
         kept.stages.count_sections(&frame.sections);

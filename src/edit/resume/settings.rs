@@ -1,6 +1,6 @@
 //! Everything that determines a stream besides the contents and order of the files, as text for comparison.
 
-use crate::frame::Positions;
+use crate::frame::PositionFidelity;
 use crate::frame::settings::EncoderConfig;
 
 /// Names and values, in the order in which they are compared.
@@ -55,11 +55,11 @@ pub fn list(config: &EncoderConfig, frames: usize) -> Settings {
 }
 
 /// The largest error of positions, in words.
-fn largest_error(positions: Positions) -> String {
+fn largest_error(positions: PositionFidelity) -> String {
     match positions {
-        Positions::Exact => "none".to_owned(),
-        Positions::Formula => "that of paper mode".to_owned(),
-        Positions::Bounded { max_error_um, on_grid } => {
+        PositionFidelity::Exact => "none".to_owned(),
+        PositionFidelity::Formula => "that of paper mode".to_owned(),
+        PositionFidelity::Bounded { max_error_um, on_grid } => {
             let grid = if on_grid { " on the file's grid" } else { "" };
             format!("{} mm{grid}", f64::from(max_error_um) / 1000.0)
         }

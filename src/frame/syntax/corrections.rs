@@ -3,13 +3,13 @@
 
 use crate::container::SectionKind;
 use crate::entropy::TokenTables;
-use crate::frame::fidelity::Positions;
+use crate::frame::fidelity::PositionFidelity;
 use crate::frame::modelling::CorrectionModelling;
 use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::models::{BlankModel, CORRECTION_CONTEXTS, CorrectionModel, correct_positions};
-use crate::scanner::{Coordinates, Return, Scanner};
+use crate::scanner::{CoordinateGrid, Return, Scanner};
 
 /// The models of corrections.
 #[derive(Clone, Default)]
@@ -68,16 +68,18 @@ impl CorrectionModels {
         let grid = scanner.coordinates();
         let offset_m = frame.parameters.range_coder.offset_m(scanner);
         let (max_error, on_grid) = match frame.parameters.positions {
-            Positions::Formula => {
+            PositionFidelity::Formula => {
                 frame.positions = scanner.positions(&frame.returns, offset_m, false);
                 return Ok(());
             }
-            Positions::Exact => (None, true),
-            Positions::Bounded { max_error_um, on_grid } => (Some(f64::from(max_error_um) * 1e-6), on_grid),
+            PositionFidelity::Exact => (None, true),
+            PositionFidelity::Bounded { max_error_um, on_grid } => {
+                (Some(f64::from(max_error_um) * 1e-6), on_grid)
+            }
         };
         let as_tokens = match frame.parameters.modelling().parts().correction {
             CorrectionModelling::Adaptive => false,
-            CorrectionModelling::Light => grid == Coordinates::Millimetre,
+            CorrectionModelling::Light => grid == CoordinateGrid::Millimetre,
             CorrectionModelling::Tokens => true,
         };
         let (returns, positions) = (&frame.returns, &mut frame.positions);
@@ -98,7 +100,7 @@ impl CorrectionModels {
         positions.resize(returns.len(), [0.0; 3]);
         let model = &mut self.adaptive;
         sections.section(SectionKind::Correction, true, |coder| {
-            if grid == Coordinates::Millimetre && max_error.is_none() {
+            if grid == CoordinateGrid::Millimetre && max_error.is_none() {
                 // Whether a point is corrected depends on its distances from the rounding boundaries.
                 let points = returns.iter().zip(positions);
                 points.for_each(|(found, position)| model.correct(coder, grid, formula(found), position));

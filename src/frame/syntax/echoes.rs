@@ -2,7 +2,7 @@
 
 use crate::container::SectionKind;
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::frame::fidelity::Intensity;
+use crate::frame::fidelity::IntensityFidelity;
 use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Result};
@@ -39,7 +39,8 @@ impl EchoModels {
     pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let in_image = frame.cells.len() + frame.blanks.len();
         let missing = (frame.records - frame.strays).saturating_sub(in_image);
-        let has_intensity = frame.layout.intensity.is_some() && frame.parameters.intensity != Intensity::None;
+        let has_intensity =
+            frame.layout.intensity.is_some() && frame.parameters.intensity != IntensityFidelity::None;
         frame.echo_intensity.resize(missing, 0.0);
         sections.section(SectionKind::Echoes, missing > 0, |coder| {
             self.code_echoes(coder, (missing, has_intensity), frame)

@@ -8,7 +8,7 @@ use super::returns::Part;
 use crate::backend::Level;
 use crate::container::SectionKind;
 use crate::entropy::{BitCoder, TokenCoder, TokenTables};
-use crate::frame::fidelity::Intensity;
+use crate::frame::fidelity::IntensityFidelity;
 use crate::frame::modelling::IntensityModelling;
 use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
@@ -45,7 +45,7 @@ impl IntensityModels {
         values: &mut Intensities,
     ) -> Result<Grid<u16>> {
         let parameters = &part.frame.parameters;
-        if part.frame.layout.intensity.is_none() || parameters.intensity == Intensity::None {
+        if part.frame.layout.intensity.is_none() || parameters.intensity == IntensityFidelity::None {
             let (rows, columns) = (part.occupancy.rows(), part.occupancy.columns());
             values.of_cells = Grid::new(rows, columns);
             values.outside = vec![0.0; part.outside];

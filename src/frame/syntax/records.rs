@@ -3,7 +3,7 @@
 use std::mem::take;
 
 use crate::container::SectionKind;
-use crate::frame::fidelity::Positions;
+use crate::frame::fidelity::PositionFidelity;
 use crate::frame::parts::FrameParts;
 use crate::frame::sections::SectionCoder;
 use crate::ground::error::{Error, Result};
@@ -25,7 +25,7 @@ impl RecordModels {
     /// If the section is damaged.
     pub fn code_order<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let returns = frame.records - frame.strays;
-        if returns == 0 || frame.parameters.positions == Positions::Formula {
+        if returns == 0 || frame.parameters.positions == PositionFidelity::Formula {
             frame.order.stray_places = (returns as u64..frame.records as u64).collect();
             return Ok(());
         }

@@ -13,7 +13,7 @@ use crate::ground::error::Result;
 use crate::models::channels::{Compressed, code_compressed};
 use crate::models::{Analysis, PointModel, PointTrail, TrailSizes};
 use crate::scan::{Channel, Scalar};
-use crate::scanner::Coordinates;
+use crate::scanner::CoordinateGrid;
 
 /// The models of strays.
 #[derive(Clone, Default)]
@@ -50,7 +50,7 @@ impl StrayModels {
     fn code_strays<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        (lattice, level): (Option<Coordinates>, Level),
+        (lattice, level): (Option<CoordinateGrid>, Level),
         records: usize,
         positions: &mut [[f32; 3]],
         channels: &[Channel],

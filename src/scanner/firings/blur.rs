@@ -10,7 +10,7 @@ use super::timing::Span;
 use super::{Build, Firings};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::PointCloud;
-use crate::scanner::{Coordinates, Projection, Return};
+use crate::scanner::{CoordinateGrid, Projection, Return};
 
 /// By how much rounding has moved points, in metres along an axis, at most; 0 if the grid is so fine that it
 /// does not matter.
@@ -19,11 +19,11 @@ pub(super) struct Blur(f64);
 
 impl Blur {
     /// That of coordinates on this grid.
-    pub fn of(grid: Coordinates) -> Self {
+    pub fn of(grid: CoordinateGrid) -> Self {
         const COARSE_NM: u64 = 1_000_000;
         Blur(match grid {
-            Coordinates::Millimetre => 0.5e-3,
-            Coordinates::Lattice { step_nm } if step_nm >= COARSE_NM => 0.5e-9 * step_nm as f64,
+            CoordinateGrid::Millimetre => 0.5e-3,
+            CoordinateGrid::Lattice { step_nm } if step_nm >= COARSE_NM => 0.5e-9 * step_nm as f64,
             _ => 0.0,
         })
     }

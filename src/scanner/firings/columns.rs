@@ -149,7 +149,7 @@ mod tests {
 
     use super::*;
     use crate::entropy::{ArithmeticDecoder, ArithmeticEncoder};
-    use crate::scanner::Coordinates;
+    use crate::scanner::CoordinateGrid;
     use crate::scanner::firings::{Build, Laser, Origin, Recipe, Timing};
 
     /// A scanner of two lasers and blocks of two firings.
@@ -158,7 +158,7 @@ mod tests {
             recipe: Recipe::RoboSense,
             ticks: 36_000,
             range_step_um: 2500,
-            coordinates: Coordinates::Float32,
+            coordinates: CoordinateGrid::Float32,
             origin: Origin::default(),
             timing: Timing::Parts(vec![0, 1 << 22, 1 << 23, 3 << 22]),
             mounting: None,

@@ -16,7 +16,7 @@ use super::{Build, Firings, Origin, Recipe, Timing};
 use crate::ground::angle::shorter_way;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{PointCloud, ScanFile, fullest};
-use crate::scanner::{Coordinates, REACH};
+use crate::scanner::{CoordinateGrid, REACH};
 
 /// Range steps of known scanners, in micrometres, coarse ones first: multiples of a step are also multiples
 /// of its divisors.
@@ -120,7 +120,7 @@ fn fit_points<'m>(
     let step = (measured / SAMPLE).max(1);
     let values: Vec<f32> =
         points.iter().step_by(step).flat_map(|point| point.position.map(|value| value as f32)).collect();
-    let coordinates = Coordinates::finest_of(&values);
+    let coordinates = CoordinateGrid::finest_of(&values);
     let blur = Blur::of(coordinates);
     // Rounding leaves the farthest points clearest; nearer ones are used only if those do not show all
     // lasers.
@@ -137,10 +137,10 @@ fn fit_points<'m>(
     }
     let Candidate { scanner, share, .. } = best.filter(|best| best.share >= LEAST_SHARE)?;
     // Decimal digits do not help a recipe that is wrong.
-    let is_digits = matches!(coordinates, Coordinates::Digits(_));
+    let is_digits = matches!(coordinates, CoordinateGrid::Digits(_));
     let scanner = match is_digits.then(|| scanner.reproduced(&cloud.positions)) {
         Some((reproduced, all)) if 2 * reproduced <= all => {
-            let build = Build { coordinates: Coordinates::Float32, ..scanner.build };
+            let build = Build { coordinates: CoordinateGrid::Float32, ..scanner.build };
             Firings::new(build, scanner.lasers, scanner.rows_of_slots)
                 .line_by_line(scanner.rows_of_lines)
                 .lagging(scanner.lags)
@@ -172,7 +172,7 @@ pub(super) struct ScanFacts<'s> {
     pub points: Cow<'s, [Point<'s>]>,
     /// Number of all points, also of those that rounding has moved too far to be among `points`.
     pub measured: usize,
-    pub coordinates: Coordinates,
+    pub coordinates: CoordinateGrid,
     pub blur: Blur,
     /// In metres: the range of the nearest of `points`, or less.
     pub nearest: f64,

@@ -51,7 +51,7 @@ use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::hdl64::{BeamConstants, Hdl64};
-use crate::scanner::{Coordinates, RangeImage, Return, median};
+use crate::scanner::{CoordinateGrid, RangeImage, Return, median};
 use recipe::{Arithmetic, MOST_LOCATED, TurnTable};
 use timing::{BlockTimes, Span};
 
@@ -137,7 +137,7 @@ pub struct Build {
     /// One range step, in micrometres.
     pub range_step_um: u32,
     /// The grid of the file's coordinates.
-    pub coordinates: Coordinates,
+    pub coordinates: CoordinateGrid,
     /// Where beams start.
     pub origin: Origin,
     /// How the azimuth advances within a block.
@@ -298,7 +298,7 @@ impl Firings {
             BeamConstants { column_shift: -shift as i64, ..BeamConstants::quantise(constants) }
         };
         let beams = self.lasers.iter().map(beam).collect();
-        Hdl64::new(Coordinates::Float32, self.build.ticks, self.build.range_step_um, beams)
+        Hdl64::new(CoordinateGrid::Float32, self.build.ticks, self.build.range_step_um, beams)
     }
 
     /// Number of lasers, which is the number of rows of the range image.
@@ -452,8 +452,8 @@ impl Firings {
     }
 
     /// The positions of returns, rounded to a grid: [`position`](Self::position) of each.
-    pub fn positions(&self, returns: &[Return], offset_m: f64, grid: Coordinates) -> Vec<[f32; 3]> {
-        if offset_m != 0.0 || grid != Coordinates::Float32 {
+    pub fn positions(&self, returns: &[Return], offset_m: f64, grid: CoordinateGrid) -> Vec<[f32; 3]> {
+        if offset_m != 0.0 || grid != CoordinateGrid::Float32 {
             let single = |metres: f64| if metres.is_nan() { 0.0 } else { grid.nearest(metres) };
             return returns.iter().map(|found| self.position(found, offset_m).map(single)).collect();
         }
@@ -546,12 +546,12 @@ impl fmt::Display for Firings {
             recipe.program(),
         )?;
         match coordinates {
-            Coordinates::Float32 => {}
-            Coordinates::Millimetre => write!(f, ", rounded to millimetres")?,
-            Coordinates::Lattice { step_nm: 10_000_000 } => write!(f, ", rounded to centimetres")?,
-            Coordinates::Lattice { step_nm } => write!(f, ", rounded to {} micrometres", step_nm / 1000)?,
-            Coordinates::Digits(digits) => write!(f, ", rounded to {digits} digits")?,
-            Coordinates::Half => write!(f, ", rounded to half precision")?,
+            CoordinateGrid::Float32 => {}
+            CoordinateGrid::Millimetre => write!(f, ", rounded to millimetres")?,
+            CoordinateGrid::Lattice { step_nm: 10_000_000 } => write!(f, ", rounded to centimetres")?,
+            CoordinateGrid::Lattice { step_nm } => write!(f, ", rounded to {} micrometres", step_nm / 1000)?,
+            CoordinateGrid::Digits(digits) => write!(f, ", rounded to {digits} digits")?,
+            CoordinateGrid::Half => write!(f, ", rounded to half precision")?,
         }
         if recipe.starts_in_beam() {
             let along = f64::from(origin.along_um) / 1e3;

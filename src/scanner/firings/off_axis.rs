@@ -14,7 +14,7 @@ use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
 use crate::ground::angle;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{Channel, PointCloud};
-use crate::scanner::{Coordinates, REACH, Return, median, thinned};
+use crate::scanner::{CoordinateGrid, REACH, Return, median, thinned};
 
 /// A manufacturer's scanner whose beams start away from the axis.
 struct Maker {
@@ -339,7 +339,7 @@ pub(super) fn known_start(points: &[Point], along: f64) -> Option<(Origin, f64)>
             numbers: Vec::new().into(),
             points: raised.collect::<Vec<_>>().into(),
             measured: points.len(),
-            coordinates: Coordinates::Float32,
+            coordinates: CoordinateGrid::Float32,
             blur: Blur::default(),
             nearest: 0.0,
         };

@@ -7,7 +7,7 @@ use crate::ground::error::{Error, Result};
 use crate::ground::varint::{
     read_f64, read_signed, read_unsigned, read_within, saturated, write_signed, write_unsigned,
 };
-use crate::scanner::{Coordinates, MOST_RANGE_STEP_UM, MOST_TICKS};
+use crate::scanner::{CoordinateGrid, MOST_RANGE_STEP_UM, MOST_TICKS};
 
 /// Constants are at most one turn, in 1e-9 degrees.
 const LARGEST_ANGLE: u64 = 360_000_000_000;
@@ -69,7 +69,7 @@ impl Firings {
             read_within(bytes, "scanner: range step in micrometres", 1..=MOST_RANGE_STEP_UM)? as u32;
         let grid = read_within(bytes, "scanner: grid of the coordinates", 0..=3)? as u32;
         let step = read_within(bytes, "scanner: step of the grid", 0..=u32::MAX.into())? as u32;
-        let coordinates = Coordinates::from_numbers(grid, step)
+        let coordinates = CoordinateGrid::from_numbers(grid, step)
             .ok_or_else(|| Error::corrupt("scanner: a grid and a step that do not fit together"))?;
         let mut metre = || match read_signed(bytes, "scanner")? {
             um if um.unsigned_abs() <= MOST_ORIGIN_UM => Ok(um as i32),

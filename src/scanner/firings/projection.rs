@@ -10,7 +10,7 @@ use crate::ground::error::Limits;
 use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::scan::{PointCloud, has_direction};
-use crate::scanner::{Coordinates, Echo, Projection, REACH, RangeImage, Return, thinned};
+use crate::scanner::{CoordinateGrid, Echo, Projection, REACH, RangeImage, Return, thinned};
 
 /// Ranges of an exact image are below this, in steps.
 pub(super) const LONGEST: u32 = 1 << 20;
@@ -138,13 +138,13 @@ impl<const IS_MOUNTED: bool> NullaryFnOnce for Search<'_, IS_MOUNTED> {
                 let Some(found) = located.found(rows[i], i) else { continue };
                 // Every float32 is on its grid; on other grids, the formula gives the sign of a zero.
                 let (formula, metres) = match grid {
-                    Coordinates::Float32 => {
+                    CoordinateGrid::Float32 => {
                         ([near[0][i], near[1][i], near[2][i]], [metres[0][i], metres[1][i], metres[2][i]])
                     }
                     _ => (scanner.position(&found, 0.0), block[i].map(f64::from)),
                 };
                 let is_near = (0..3).all(|axis| (formula[axis] - metres[axis]).abs() < reach);
-                if is_near && (grid == Coordinates::Float32 || grid.holds_all(metres, formula)) {
+                if is_near && (grid == CoordinateGrid::Float32 || grid.holds_all(metres, formula)) {
                     let mut place = scanner.place(first + i as u32, &found);
                     if blur.is_any() {
                         let distance = (metres[0] * metres[0] + metres[1] * metres[1]).sqrt();

@@ -50,12 +50,12 @@ impl Alignment {
 mod tests {
     use super::*;
     use crate::scanner::hdl64::BeamConstants;
-    use crate::scanner::{Coordinates, ideal};
+    use crate::scanner::{CoordinateGrid, ideal};
 
     /// A scanner of 4000 ticks with these shifts.
     fn shifted(shifts: &[i64]) -> Hdl64 {
         let beam = |&column_shift: &i64| BeamConstants { column_shift, ..BeamConstants::default() };
-        Hdl64::new(Coordinates::Millimetre, 4000, 2000, shifts.iter().map(beam).collect())
+        Hdl64::new(CoordinateGrid::Millimetre, 4000, 2000, shifts.iter().map(beam).collect())
     }
 
     #[test]

@@ -8,17 +8,17 @@ const LONGEST_RUN: usize = 31;
 
 /// The adaptive models of columns.
 #[derive(Clone)]
-pub struct ColumnModel {
+pub struct Hdl64ColumnModel {
     used: Vec<AdaptiveBit>,
 }
 
-impl Default for ColumnModel {
+impl Default for Hdl64ColumnModel {
     fn default() -> Self {
-        ColumnModel { used: vec![AdaptiveBit::default(); 4 * (LONGEST_RUN + 1) * 4] }
+        Hdl64ColumnModel { used: vec![AdaptiveBit::default(); 4 * (LONGEST_RUN + 1) * 4] }
     }
 }
 
-impl ColumnModel {
+impl Hdl64ColumnModel {
     /// Codes a set of ticks below `ticks`, as ascending numbers.
     pub fn code<C: BitCoder>(&mut self, coder: &mut C, ticks: u32, columns: &mut Vec<u32>) {
         let known = std::mem::take(columns);

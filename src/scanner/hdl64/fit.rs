@@ -21,7 +21,7 @@ use crate::ground::angle::rough_sine;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
-use crate::scanner::{Coordinates, thinned};
+use crate::scanner::{CoordinateGrid, thinned};
 
 /// Azimuth ticks in a turn of the scanners that this fit handles.
 const TICKS: u32 = 4000;
@@ -43,19 +43,19 @@ const LEAST_SHARE: f64 = 0.5;
 /// Fits a scanner to a sample of the sequence's scans. `None` if the points are not those of such a scanner,
 /// stored beam by beam.
 pub fn fit(sample: &[ScanFile]) -> Option<Hdl64> {
-    let scans: Vec<(Coordinates, Vec<Vec<Point>>)> = sample
+    let scans: Vec<(CoordinateGrid, Vec<Vec<Point>>)> = sample
         .par_iter()
         .map(|scan| {
             (
-                Coordinates::of(scan.cloud.positions.iter().step_by(7).flatten()),
+                CoordinateGrid::of(scan.cloud.positions.iter().step_by(7).flatten()),
                 split_beams(&scan.cloud.positions),
             )
         })
         .collect();
-    let on = |grid: Coordinates| -> Vec<&[Vec<Point>]> {
+    let on = |grid: CoordinateGrid| -> Vec<&[Vec<Point>]> {
         scans.iter().filter(|(other, _)| *other == grid).map(|(_, beams)| beams.as_slice()).collect()
     };
-    let mut grids = [Coordinates::Millimetre, Coordinates::Float32];
+    let mut grids = [CoordinateGrid::Millimetre, CoordinateGrid::Float32];
     grids.sort_by_key(|&grid| Reverse(on(grid).iter().copied().flatten().map(Vec::len).sum::<usize>()));
     grids.into_iter().find_map(|grid| fit_scans(grid, &on(grid)))
 }
@@ -83,7 +83,7 @@ pub fn is_evident(positions: &[[f32; 3]]) -> bool {
     let (middle, half) = (positions.len() / 2, positions.len() * BEAMS / turns / 2);
     let positions = &positions[middle - half..middle + half];
     let (beams, coordinates) =
-        (split_beams(positions), Coordinates::of(positions.iter().step_by(7).flatten()));
+        (split_beams(positions), CoordinateGrid::of(positions.iter().step_by(7).flatten()));
     // The first and the last beam are incomplete.
     let beams = beams.get(1..beams.len().saturating_sub(1)).unwrap_or_default();
     let is_evident = |beam: &&Vec<Point>| {
@@ -95,7 +95,7 @@ pub fn is_evident(positions: &[[f32; 3]]) -> bool {
 }
 
 /// Fits a scanner to scans whose coordinates are on the same grid.
-fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<Hdl64> {
+fn fit_scans(coordinates: CoordinateGrid, scans: &[&[Vec<Point>]]) -> Option<Hdl64> {
     let beams = align(scans);
     let fit = |beam: &Beam| fit_beam(&beam.points(), coordinates).map(BeamConstants::quantise);
     let constants: Vec<_> = beams.par_iter().map(fit).collect();
@@ -112,7 +112,7 @@ fn fit_scans(coordinates: Coordinates, scans: &[&[Vec<Point>]]) -> Option<Hdl64>
     let shifts = column_shifts(&model, &beams);
     model.set_column_shifts(&shifts);
     Some(match coordinates {
-        Coordinates::Float32 => in_single_precision(model, &beams),
+        CoordinateGrid::Float32 => in_single_precision(model, &beams),
         _ => model,
     })
 }
@@ -144,7 +144,7 @@ fn in_single_precision(model: Hdl64, beams: &[&Beam]) -> Hdl64 {
 }
 
 /// The constants of one beam. `None` if there are too few points, or if they are not those of such a beam.
-fn fit_beam(points: &[Point], coordinates: Coordinates) -> Option<[f64; 5]> {
+fn fit_beam(points: &[Point], coordinates: CoordinateGrid) -> Option<[f64; 5]> {
     if points.len() < FEWEST_POINTS {
         return None;
     }
@@ -236,7 +236,7 @@ fn range_phase(points: &[Point], elevation: f64) -> f64 {
 
 /// Step 4: Gauss-Newton on the errors of x, y and z, with the integers fixed; repeated, because the integers
 /// change with the constants.
-fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 5] {
+fn refine(start: [f64; 5], points: &[Point], coordinates: CoordinateGrid) -> [f64; 5] {
     let mut constants = start;
     let least_squares = |constants: &[f64; 5], count: usize, reach: f64| {
         let points: Vec<Point> = thinned(points, count).copied().collect();
@@ -250,7 +250,7 @@ fn refine(start: [f64; 5], points: &[Point], coordinates: Coordinates) -> [f64; 
     }
     let good = least_squares(&constants, SAMPLE, 0.0015);
     good.step(&mut constants);
-    if coordinates == Coordinates::Millimetre {
+    if coordinates == CoordinateGrid::Millimetre {
         centre_in_roundings(&mut constants, points, &good);
     }
     constants

@@ -20,7 +20,7 @@ mod testing;
 
 pub use alignment::Alignment;
 pub(crate) use beams::{Point as BeamPoint, split_beams};
-pub use columns::ColumnModel;
+pub use columns::Hdl64ColumnModel;
 pub use fit::{RANGE_STEP_UM, fit, is_evident};
 pub use model::{BeamConstants, Hdl64, Sighting};
 pub use positions::positions;

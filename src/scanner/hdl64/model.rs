@@ -25,7 +25,7 @@ use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
 use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_signed, read_unsigned, read_within, write_signed, write_unsigned};
-use crate::scanner::{Coordinates, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS};
+use crate::scanner::{CoordinateGrid, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS};
 
 /// The unit of quantised angles, in radians.
 const ANGLE_UNIT: f64 = 1.0 / (1u64 << 32) as f64;
@@ -112,7 +112,7 @@ pub struct Sighting {
 #[derive(Clone, Debug)]
 pub struct Hdl64 {
     /// The grid of the file's coordinates.
-    pub coordinates: Coordinates,
+    pub coordinates: CoordinateGrid,
     /// Azimuth ticks in a turn (4000 for 0.09 degrees).
     pub ticks: u32,
     /// One range step, in micrometres (2000 for 2 mm); [`FLOAT_RANGES`]: steps are the bits of ranges
@@ -148,7 +148,7 @@ fn angle_of(tick: u32, ticks: u32) -> f64 {
 impl Hdl64 {
     /// A scanner with these quantised constants. `ticks` must not be 0.
     pub fn new(
-        coordinates: Coordinates,
+        coordinates: CoordinateGrid,
         ticks: u32,
         range_step_um: u32,
         constants: Vec<BeamConstants>,
@@ -502,8 +502,8 @@ impl Hdl64 {
     /// If the record is cut short or holds values that no scanner has.
     pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
         let (coordinates, is_single_precision) = match read_unsigned(bytes, "scanner model")? {
-            code @ 0..2 => (Coordinates::from_code(code), false),
-            SINGLE_PRECISION => (Coordinates::Float32, true),
+            code @ 0..2 => (CoordinateGrid::from_code(code), false),
+            SINGLE_PRECISION => (CoordinateGrid::Float32, true),
             other => return Err(Error::corrupt(format!("scanner model: unknown coordinate grid {other}"))),
         };
         let ticks = read_within(bytes, "scanner model: ticks a turn", 1..=MOST_TICKS)? as u32;
@@ -550,7 +550,7 @@ mod tests {
     fn a_point_on_the_axis_is_seen_nowhere() {
         let mut beam = BeamConstants::quantise([0.0, -1.0, 0.0, 0.026, 0.0]);
         beam.column_shift = 1;
-        let scanner = Hdl64::new(Coordinates::Millimetre, 4000, 2000, vec![beam]);
+        let scanner = Hdl64::new(CoordinateGrid::Millimetre, 4000, 2000, vec![beam]);
         assert!(scanner.locate(0, [0.0, 0.0, 0.0]).is_none());
         assert!(scanner.locate(0, [0.0, 9.0, 0.0]).is_some());
     }

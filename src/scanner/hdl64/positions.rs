@@ -4,7 +4,7 @@ use pulp::NullaryFnOnce;
 
 use super::Hdl64;
 use crate::ground::lanes::dispatch;
-use crate::scanner::{Coordinates, Return, nearest_millimetre};
+use crate::scanner::{CoordinateGrid, Return, nearest_millimetre};
 
 /// Positions of returns (metres), which are in row order and `offset_m` metres farther away than their steps:
 /// rounded to the file's grid if `on_grid`, otherwise as the formula gives them.
@@ -31,10 +31,10 @@ impl NullaryFnOnce for Filling<'_> {
         let grid = scanner.coordinates;
         let is_near = scanner.metres(scanner.most_steps()) < NEAR;
         match (on_grid, grid) {
-            (true, Coordinates::Millimetre) if is_near => {
+            (true, CoordinateGrid::Millimetre) if is_near => {
                 fill(scanner, returns, offset_m, nearest_millimetre)
             }
-            (true, Coordinates::Float32) => {
+            (true, CoordinateGrid::Float32) => {
                 // The same result as `nearest`, without converting to units and back.
                 fill(
                     scanner,
@@ -77,7 +77,7 @@ mod tests {
         let (scanner, image) = scanner();
         let single = scanner.clone().with_refinements(vec![Refinement::default(); scanner.rows()]);
         let mut of_floats = single.clone();
-        of_floats.coordinates = Coordinates::Float32;
+        of_floats.coordinates = CoordinateGrid::Float32;
         for scanner in [of_floats, single, scanner] {
             let returns = image.file_order(&scanner);
             for on_grid in [false, true] {

@@ -2,7 +2,7 @@
 
 use super::{BeamConstants, Hdl64};
 use crate::ground::random::Rng;
-use crate::scanner::{Coordinates, RangeImage};
+use crate::scanner::{CoordinateGrid, RangeImage};
 
 /// Some beams of an HDL-64E that pass the axis on either side, and an image with near returns, far returns
 /// and cells without a return.
@@ -17,7 +17,7 @@ pub fn scanner() -> (Hdl64, RangeImage) {
             0.02 * beam,
         ])
     };
-    let scanner = Hdl64::new(Coordinates::Millimetre, 4000, 2000, (0..5).map(constants).collect());
+    let scanner = Hdl64::new(CoordinateGrid::Millimetre, 4000, 2000, (0..5).map(constants).collect());
     let mut image = RangeImage::new(5, (0..4000).step_by(2).collect());
     let mut random = Rng::keyed(1, &[]);
     for steps in image.steps.cells_mut() {

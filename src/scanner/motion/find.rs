@@ -8,7 +8,7 @@ use super::many::{self, Seen, is_in_reach};
 use super::turn::Mover;
 use super::{Motion, Turn, grid};
 use crate::scanner::hdl64::{BeamPoint, split_beams};
-use crate::scanner::{Coordinates, thinned};
+use crate::scanner::{CoordinateGrid, thinned};
 
 /// The points as they were measured, on the millimetre grid, and the motion that moved them to those of the
 /// file, with a list of misses that is still empty. `None` if the points were not measured on that grid, or
@@ -63,7 +63,7 @@ fn may_be_moved(positions: &[[f32; 3]]) -> bool {
     const LEAST: f64 = 0.4;
     /// Number of points that are tested for being on the grid.
     const SAMPLE: usize = 2000;
-    if Coordinates::of(thinned(positions, SAMPLE).flatten()) != Coordinates::Float32 {
+    if CoordinateGrid::of(thinned(positions, SAMPLE).flatten()) != CoordinateGrid::Float32 {
         return false;
     }
     let in_front = positions.iter().filter(|[x, y, _]| *x > 0.5 && y.abs() < IN_FRONT * x && x.is_finite());

@@ -34,7 +34,7 @@ pub use turn::{Motion, Mover};
 pub use world::World;
 
 use crate::scan::Channel;
-use crate::scanner::Coordinates;
+use crate::scanner::CoordinateGrid;
 
 /// How the points of a scan were moved.
 #[derive(Clone, Debug, PartialEq)]
@@ -136,7 +136,7 @@ fn find_misses(
     positions: &[[f32; 3]],
     near: impl Fn(&[f32; 3], &[f32; 3]) -> bool,
 ) -> Vec<Miss> {
-    let unit = Coordinates::unit_of_float;
+    let unit = CoordinateGrid::unit_of_float;
     let points = (0u32..).zip(positions.iter().zip(formula));
     let missed = points.filter(|(_, (position, formula))| !near(position, formula));
     let miss = |(point, (position, formula)): (u32, (&[f32; 3], &[f32; 3]))| Miss {
@@ -162,8 +162,8 @@ fn corrected(position: [f32; 3], units: &[i64; 3]) -> [f32; 3] {
         return position;
     }
     std::array::from_fn(|axis| {
-        let unit = Coordinates::unit_of_float(position[axis]);
-        Coordinates::Float32.value(unit.wrapping_add(units[axis]), 0.0)
+        let unit = CoordinateGrid::unit_of_float(position[axis]);
+        CoordinateGrid::Float32.value(unit.wrapping_add(units[axis]), 0.0)
     })
 }
 

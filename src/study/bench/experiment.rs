@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use super::sample::Sample;
 use crate::frame::settings::{EncoderConfig, ProjectionKind};
-use crate::frame::{Positions, StageReport};
+use crate::frame::{PositionFidelity, StageReport};
 use crate::ground::error::Result;
 use crate::scan::PointCloud;
 use crate::scanner::hdl64::{RANGE_STEP_UM, project_nearest};
@@ -128,11 +128,11 @@ impl Distortion {
 
     fn add(&mut self, original: &PointCloud, decoded: &DecodedFrame, config: &EncoderConfig) {
         match (&decoded.image, config.positions) {
-            (Some(image), Positions::Formula) => {
+            (Some(image), PositionFidelity::Formula) => {
                 let (scanner, reference) = reference_image(original, &image.scanner, config);
                 self.ranges.add((&scanner, &reference), (&image.scanner, &image.image));
             }
-            (None, Positions::Formula) => {}
+            (None, PositionFidelity::Formula) => {}
             _ => self.points.add(original, &decoded.scan.cloud),
         }
     }

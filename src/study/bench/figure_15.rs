@@ -9,7 +9,7 @@ use crate::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use crate::article::prediction::intra::{IntraConfig, RegionModels};
 use crate::backend;
 use crate::frame::settings::{Coder, EncoderConfig, Mode, PredictionChoice, ProjectionKind};
-use crate::frame::{Intensity, MOST_INTENSITY_STEP_MILLIONTHS, Prediction};
+use crate::frame::{IntensityFidelity, MOST_INTENSITY_STEP_MILLIONTHS, Prediction};
 use crate::ground::error::Result;
 use crate::scanner::FLOAT_RANGES;
 use crate::scanner::hdl64::{Hdl64, RANGE_STEP_UM};
@@ -281,7 +281,7 @@ fn other_curves(sample: &Sample, base: &EncoderConfig, quick: bool) -> Vec<Curve
         ..at(step, Coder::Context, smallest)
     };
     // Such a coarse step removes the intensities.
-    let intensity = Intensity::Rounded { step_millionths: MOST_INTENSITY_STEP_MILLIONTHS };
+    let intensity = IntensityFidelity::Rounded { step_millionths: MOST_INTENSITY_STEP_MILLIONTHS };
     let bounded = |max_error_um| EncoderConfig {
         threads: base.threads,
         intensity,

@@ -21,7 +21,7 @@ mod volumes;
 pub use sample::Extent;
 
 use crate::article::prediction::intra::RegionModels;
-use crate::frame::Intensity;
+use crate::frame::IntensityFidelity;
 use crate::frame::settings::{EncoderConfig, FrameOrder, ProjectionKind};
 use crate::ground::error::{Error, Result};
 use crate::scanner::hdl64::Hdl64;
@@ -81,7 +81,8 @@ impl Bench {
         if of_tables.clouds.iter().chain(&of_figures.clouds).all(|cloud| cloud.positions.is_empty()) {
             return Err(Error::Usage("no points in any scan; give scans with points".into()));
         }
-        let base = EncoderConfig { order: FrameOrder::Ratio, intensity: Intensity::None, ..base.clone() };
+        let base =
+            EncoderConfig { order: FrameOrder::Ratio, intensity: IntensityFidelity::None, ..base.clone() };
         let curves = Curves::new(&of_figures, &base, quick);
         let found = scanner_seen(&of_tables.inputs.iter().collect::<Vec<_>>(), &base)?;
         let scanner = ideal_of(found.as_ref(), columns, range_step_um);

@@ -27,7 +27,7 @@ use crate::scanner::firings::order::{FiringOrder, lines, order, vlp_16};
 use crate::scanner::firings::projection::{Sight, nearest};
 use crate::scanner::firings::recipe::{Axes, whole_steps};
 use crate::scanner::firings::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, THOUSANDTH, Timing};
-use crate::scanner::{Coordinates, Return, median, thinned};
+use crate::scanner::{CoordinateGrid, Return, median, thinned};
 
 /// Number of points that are used for counting and comparing.
 const SAMPLE: usize = 8000;
@@ -69,7 +69,7 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
         });
         let (fitted, share) = fit_moved(cloud, &moved.collect::<Vec<_>>())?;
         let values: Vec<f32> = thinned(positions, SAMPLE).flatten().copied().collect();
-        let build = Build { coordinates: Coordinates::finest_of(&values), ..fitted.build.clone() };
+        let build = Build { coordinates: CoordinateGrid::finest_of(&values), ..fitted.build.clone() };
         let fitted = Firings { build, ..fitted }.mounted(mounting);
         let reproduced = |scanner: &Firings| scanner.reproduced(positions).0;
         let with_lasers = fitted.with_lasers_of(&mounted);
@@ -224,7 +224,7 @@ impl Seen {
             recipe: Recipe::DoubleXAhead,
             ticks,
             range_step_um,
-            coordinates: Coordinates::Float32,
+            coordinates: CoordinateGrid::Float32,
             origin: Origin::default(),
             timing: Timing::Together,
             mounting: None,

@@ -8,7 +8,7 @@ use super::{Moment, Stamped, parts, rough};
 use crate::scan::{Channel, PointCloud, ScanFile};
 use crate::scanner::firings::{Firings, Moved, MovedBy, Sight, fit_moved};
 use crate::scanner::motion::{Motion, Mover};
-use crate::scanner::{Coordinates, thinned};
+use crate::scanner::{CoordinateGrid, thinned};
 
 /// Number of points in a first search, and in the last one.
 const SAMPLE: usize = 2000;
@@ -21,7 +21,7 @@ pub fn undo(cloud: &PointCloud, scanner: &Firings) -> Option<(Vec<[f32; 3]>, Sta
     /// Share of misses below which nothing can be gained.
     const FEW: f64 = 0.1;
     let sight = Sight::new(scanner);
-    if scanner.build().coordinates != Coordinates::Float32 || scanner.build().mounting.is_some() {
+    if scanner.build().coordinates != CoordinateGrid::Float32 || scanner.build().mounting.is_some() {
         return None;
     }
     let points = points_without_parts(cloud)?;
@@ -67,7 +67,8 @@ fn fit_scan(scan: &ScanFile, near: Option<&Firings>) -> Option<Firings> {
     let all = points_without_parts(&scan.cloud)?;
     let without =
         near.map_or(0.0, |near| share(&Sight::new(near), thinned(&all, SAMPLE), &Motion::default()));
-    if is_better(without, 0.0) || near.is_some_and(|near| near.build().coordinates != Coordinates::Float32) {
+    if is_better(without, 0.0) || near.is_some_and(|near| near.build().coordinates != CoordinateGrid::Float32)
+    {
         return None;
     }
     for (channel, moment) in candidates(&scan.cloud.channels) {

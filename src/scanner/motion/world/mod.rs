@@ -27,7 +27,7 @@ mod tests;
 pub use undo::{measured, undo};
 
 use super::{corrected, unless_nan};
-use crate::scanner::Coordinates;
+use crate::scanner::CoordinateGrid;
 
 /// Records of a firing.
 const SLOTS: usize = 32;
@@ -279,7 +279,7 @@ impl World {
         near: impl Fn(&[f32; 3], &[f32; 3]) -> bool,
     ) {
         let formula = Formula::new(self, measured.len());
-        let unit = Coordinates::unit_of_float;
+        let unit = CoordinateGrid::unit_of_float;
         let mut corrections = Vec::new();
         for (record, (measured, position)) in measured.iter().zip(positions).enumerate() {
             let world = formula.world(record, measured);

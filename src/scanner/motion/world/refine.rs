@@ -11,7 +11,7 @@ use super::sweep::{Matrix, Vector};
 use super::undo::{Errors, MEAN_FIRING_US, Search, turn_of};
 use super::{Knot, PACKETS, PLACE_UNIT, Pose, SLOTS, TIME_UNIT, TURN_UNIT, Times, World};
 use crate::ground::rounding::round_ties_even;
-use crate::scanner::Coordinates;
+use crate::scanner::CoordinateGrid;
 
 /// Deviations of more than this many standard errors are ignored.
 const CLIP: f64 = 6.0;
@@ -288,7 +288,7 @@ impl Search {
     /// The deviation of a record in float32 units, if it corresponds to this point of the map.
     fn units_off(&self, record: usize, map: &Vector) -> [i64; 3] {
         let given = self.axes.transpose() * (map - self.origin);
-        let unit = Coordinates::unit_of_float;
+        let unit = CoordinateGrid::unit_of_float;
         std::array::from_fn(|axis| unit(self.positions[record][axis]) - unit(given[axis] as f32))
     }
 
