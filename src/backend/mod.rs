@@ -110,18 +110,30 @@ pub use lzma::compress_hardest;
 pub use packing::Packing;
 pub use zstd::compress_quickly;
 
-/// The level from which on LZMA is tried where zstd is: the first level above 3. Models have no levels 4 and
-/// 5, so in effect 6.
-pub const LZMA_LEVEL: u8 = 4;
+/// Which general-purpose compressors an encoder tries where models may do worse.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Compressors {
+    /// zstd.
+    Fast,
+    /// LZMA as well, which takes long, on the arrangement of bytes that suits zstd best.
+    #[default]
+    Slow,
+    /// LZMA on every arrangement of bytes.
+    All,
+}
 
-/// The shorter of what zstd and LZMA make of bytes, with the number of the back-end. LZMA takes long: it is
-/// tried only from [`LZMA_LEVEL`] on, and if `is_worth` says so, given the size that zstd achieves.
+/// The shorter of what zstd and LZMA make of bytes, with the number of the back-end. LZMA is tried only if
+/// `is_worth` says so, given the size that zstd achieves.
 ///
 /// # Errors
 /// If a library fails.
-pub fn shortest(bytes: &[u8], level: Level, is_worth: impl FnOnce(usize) -> bool) -> Result<(u8, Vec<u8>)> {
+pub fn shortest(
+    bytes: &[u8],
+    compressors: Compressors,
+    is_worth: impl FnOnce(usize) -> bool,
+) -> Result<(u8, Vec<u8>)> {
     let quick = compress_quickly(bytes)?;
-    if level.number() >= LZMA_LEVEL && is_worth(quick.len()) {
+    if compressors != Compressors::Fast && is_worth(quick.len()) {
         let hardest = compress_hardest(bytes)?;
         if hardest.len() < quick.len() {
             return Ok((LZMA, hardest));

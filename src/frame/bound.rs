@@ -1,7 +1,7 @@
 //! The error bound of bounded mode, and how the encoder keeps it.
 
 use super::fidelity::{IntensityFidelity, PositionFidelity};
-use crate::scan::{PointCloud, ScanFile, squared_distance};
+use crate::scan::{PointCloud, ScanFile, Widening, Wrapping, squared_distance};
 use crate::scanner::CoordinateGrid;
 
 /// The largest errors allowed for decoded values.
@@ -105,4 +105,38 @@ impl Bound {
     pub fn is_near(&self, a: &[f32; 3], b: &[f32; 3]) -> bool {
         squared_distance(a, b).sqrt() <= self.max_error || a.map(f32::to_bits) == b.map(f32::to_bits)
     }
+}
+
+/// Errors below `most_um` micrometres: 0.5, 1, 2, 5, 10, 20 mm. Larger ones hardly save more.
+pub fn smaller_errors(most_um: u32) -> impl Iterator<Item = u32> {
+    [500, 1000, 2000, 5000, 10_000, 20_000].into_iter().filter(move |error| *error < most_um)
+}
+
+/// The maximum increase, in micrometres, of the distance between two points when their coordinates are
+/// written as text or integers instead of float32, in which distances are measured: each coordinate of each
+/// point is off by up to half a unit in its last place. 0 for other kinds of files.
+pub fn file_rounding_um(scan: &ScanFile) -> u32 {
+    let is_rounded = match &scan.layout.wrapping {
+        Wrapping::Text(_) | Wrapping::Scaled(_) => true,
+        Wrapping::Widened(widenings) | Wrapping::ByField(widenings) | Wrapping::Arrow { widenings, .. } => {
+            let is_exact = |widening: &Widening| matches!(widening, Widening::None | Widening::Exact);
+            !widenings.iter().all(is_exact)
+        }
+        Wrapping::Plain | Wrapping::PcdCompressed { .. } | Wrapping::BigEndian => false,
+    };
+    if !is_rounded {
+        return 0;
+    }
+    let coordinates = scan.cloud.positions.as_flattened().iter().map(|v| v.abs()).filter(|v| v.is_finite());
+    let largest = coordinates.fold(0.0, f32::max);
+    let unit = f64::from(largest.next_up()) - f64::from(largest);
+    (1e6 * 3f64.sqrt() * unit).ceil() as u32
+}
+
+/// The maximum displacement, in micrometres, of decoded points when the file is written with integer
+/// coordinates: half a step along each axis.
+pub fn step_rounding_um(scan: &ScanFile) -> u32 {
+    let Some(axes) = scan.layout.axes() else { return 0 };
+    let half_steps = axes.map(|axis| 0.5 / axis.per_metre);
+    (1e6 * half_steps.iter().map(|half| half * half).sum::<f64>().sqrt()).ceil() as u32
 }

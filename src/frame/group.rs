@@ -3,9 +3,9 @@
 //! independent of each other.
 
 use std::borrow::Borrow;
-use std::mem::{replace, take};
+use std::mem::take;
 
-use super::bound::Bound;
+use super::bound::{Bound, file_rounding_um, smaller_errors, step_rounding_um};
 use super::fidelity::{IntensityFidelity, PositionFidelity};
 use super::levels::InterChoice;
 use super::parameters::{OriginalFile, Prediction, RangeCoder};
@@ -23,7 +23,7 @@ use crate::ground::error::{Error, Limits, Result};
 use crate::ground::grid::Grid;
 use crate::inter;
 use crate::inter::registration::{Pose, QuantisedPose, register};
-use crate::scan::{ScanFile, Widening, Wrapping};
+use crate::scan::ScanFile;
 use crate::scanner::{RangeImage, Scanner};
 
 /// Encodes the frames of one group.
@@ -34,9 +34,8 @@ pub struct GroupEncoder<'s> {
 
 /// Encodes the frames of one track of a group.
 struct TrackEncoder<'s> {
-    scanner: Option<&'s Scanner>,
     config: &'s EncoderConfig,
-    state: TrackState,
+    state: TrackState<'s>,
     /// What the last frame has shown of a general-purpose compressor.
     whole: Trial,
     /// Whether bounded mode was smaller than exact mode for a frame of the group.
@@ -49,7 +48,9 @@ struct TrackEncoder<'s> {
 
 /// What the frames of a track leave for the next.
 #[derive(Clone, Default)]
-struct TrackState {
+struct TrackState<'s> {
+    /// `None` also if the first frame was smaller without it.
+    scanner: Option<&'s Scanner>,
     models: Models,
     /// The last motion of the scanner, from frame to frame.
     motion: QuantisedPose,
@@ -72,8 +73,9 @@ pub struct EncodedFrame {
 /// A frame coded in one of several ways, and how its track goes on if that way is taken.
 struct Candidate<'s> {
     encoded: EncodedFrame,
-    scanner: Option<&'s Scanner>,
-    after: TrackState,
+    /// The decoded file, unless it is the original.
+    lossy: Option<LossyFile>,
+    after: TrackState<'s>,
 }
 
 /// A file that differs from the original.
@@ -100,11 +102,6 @@ impl Candidate<'_> {
     fn is_smaller_than(&self, other: Option<&Self>) -> bool {
         other.is_none_or(|other| self.encoded.size() < other.encoded.size())
     }
-}
-
-/// Errors below `most_um` micrometres: 0.5, 1, 2, 5, 10, 20 mm. Larger ones hardly save more.
-fn smaller_errors(most_um: u32) -> impl Iterator<Item = u32> {
-    [500, 1000, 2000, 5000, 10_000, 20_000].into_iter().filter(move |error| *error < most_um)
 }
 
 /// Bytes of sections, without their headers.
@@ -134,41 +131,11 @@ impl<'s> GroupEncoder<'s> {
     }
 }
 
-/// The maximum increase, in micrometres, of the distance between two points when their coordinates are
-/// written as text or integers instead of float32, in which distances are measured: each coordinate of each
-/// point is off by up to half a unit in its last place. 0 for other kinds of files.
-fn file_rounding_um(scan: &ScanFile) -> u32 {
-    let is_rounded = match &scan.layout.wrapping {
-        Wrapping::Text(_) | Wrapping::Scaled(_) => true,
-        Wrapping::Widened(widenings) | Wrapping::ByField(widenings) | Wrapping::Arrow { widenings, .. } => {
-            let is_exact = |widening: &Widening| matches!(widening, Widening::None | Widening::Exact);
-            !widenings.iter().all(is_exact)
-        }
-        Wrapping::Plain | Wrapping::PcdCompressed { .. } | Wrapping::BigEndian => false,
-    };
-    if !is_rounded {
-        return 0;
-    }
-    let coordinates = scan.cloud.positions.as_flattened().iter().map(|v| v.abs()).filter(|v| v.is_finite());
-    let largest = coordinates.fold(0.0, f32::max);
-    let unit = f64::from(largest.next_up()) - f64::from(largest);
-    (1e6 * 3f64.sqrt() * unit).ceil() as u32
-}
-
-/// The maximum displacement, in micrometres, of decoded points when the file is written with integer
-/// coordinates: half a step along each axis.
-fn step_rounding_um(scan: &ScanFile) -> u32 {
-    let Some(axes) = scan.layout.axes() else { return 0 };
-    let half_steps = axes.map(|axis| 0.5 / axis.per_metre);
-    (1e6 * half_steps.iter().map(|half| half * half).sum::<f64>().sqrt()).ceil() as u32
-}
-
 impl<'s> TrackEncoder<'s> {
     fn new(scanner: Option<&'s Scanner>, config: &'s EncoderConfig) -> Self {
         TrackEncoder {
-            scanner,
             config,
-            state: TrackState::default(),
+            state: TrackState { scanner, ..TrackState::default() },
             whole: Trial::Open,
             bound_pays: false,
             error_um: None,
@@ -181,25 +148,40 @@ impl<'s> TrackEncoder<'s> {
         if original.stamp.kind == FrameKind::Beside {
             return self.encode_beside(&scan, original);
         }
-        let PositionFidelity::Bounded { max_error_um, .. } = self.config.positions else {
-            return Ok(self.encode_as(self.config, scan, original)?.0);
-        };
         let before = take(&mut self.state);
+        let Candidate { encoded, after, .. } = match self.config.positions {
+            PositionFidelity::Bounded { max_error_um, .. } => {
+                self.encode_bounded(&before, &scan, &original, max_error_um)?
+            }
+            _ => self.encode_as(before, self.config, scan, original)?,
+        };
+        self.state = after;
+        Ok(encoded)
+    }
+
+    /// Codes a frame as the one after `before` within the bound or, if that is smaller, exactly.
+    fn encode_bounded(
+        &mut self,
+        before: &TrackState<'s>,
+        scan: &ScanFile,
+        original: &FrameHeader,
+        max_error_um: u32,
+    ) -> Result<Candidate<'s>> {
         let within = self.error_um.unwrap_or(max_error_um);
-        let mut bounded = self.within_bound(&before, &scan, &original, within)?;
+        let mut bounded = self.within_bound(before, scan, original, within)?;
         if let Some(bounded) = bounded.take_if(|_| self.bound_pays) {
-            return Ok(self.go_on_with(bounded));
+            return Ok(bounded);
         }
         let (positions, intensity) = (PositionFidelity::Exact, IntensityFidelity::Exact);
         let config = EncoderConfig { positions, intensity, ..self.config.clone() };
-        let (exact, _) = self.candidate(&before, &config, &scan, &original)?;
+        let exact = self.encode_as(before.clone(), &config, scan.clone(), original.clone())?;
         // The other fields of a record stay exact. If they follow from the position, they may take more bytes
         // with a larger error than the positions save.
         let channels_grow =
             bounded.as_ref().is_some_and(|b| b.encoded.of_channels() > exact.encoded.of_channels());
         if self.error_um.is_none() && channels_grow {
             for within in smaller_errors(max_error_um) {
-                let smaller = self.within_bound(&before, &scan, &original, within)?;
+                let smaller = self.within_bound(before, scan, original, within)?;
                 if let Some(smaller) = smaller.filter(|smaller| smaller.is_smaller_than(bounded.as_ref())) {
                     (bounded, self.error_um) = (Some(smaller), Some(within));
                 }
@@ -211,36 +193,14 @@ impl<'s> TrackEncoder<'s> {
         }
         let bounded = bounded.filter(|bounded| bounded.is_smaller_than(Some(&exact)));
         self.bound_pays = bounded.is_some();
-        Ok(self.go_on_with(bounded.unwrap_or(exact)))
-    }
-
-    /// Takes a candidate as the next frame of the track.
-    fn go_on_with(&mut self, Candidate { encoded, scanner, after }: Candidate<'s>) -> EncodedFrame {
-        (self.scanner, self.state) = (scanner, after);
-        encoded
-    }
-
-    /// Codes a frame as the one after `before` with these settings. Returns the decoded file too, unless it
-    /// is the original.
-    fn candidate(
-        &mut self,
-        before: &TrackState,
-        config: &EncoderConfig,
-        scan: &ScanFile,
-        original: &FrameHeader,
-    ) -> Result<(Candidate<'s>, Option<LossyFile>)> {
-        let scanner = self.scanner;
-        self.state.clone_from(before);
-        let (encoded, lossy) = self.encode_as(config, scan.clone(), original.clone())?;
-        let scanner = replace(&mut self.scanner, scanner);
-        Ok((Candidate { encoded, scanner, after: take(&mut self.state) }, lossy))
+        Ok(bounded.unwrap_or(exact))
     }
 
     /// Codes a frame as the one after `before` with at most this error; `None` if the decoded file would
     /// exceed it. If only the digits of its text are to blame, the points are coded with a smaller error.
     fn within_bound(
         &mut self,
-        before: &TrackState,
+        before: &TrackState<'s>,
         scan: &ScanFile,
         original: &FrameHeader,
         max_error_um: u32,
@@ -257,8 +217,8 @@ impl<'s> TrackEncoder<'s> {
                 break;
             }
             let config = EncoderConfig { positions: within(of_points), ..self.config.clone() };
-            let (candidate, decoded) = self.candidate(before, &config, scan, original)?;
-            let Some(decoded) = decoded else { break };
+            let mut candidate = self.encode_as(before.clone(), &config, scan.clone(), original.clone())?;
+            let Some(decoded) = candidate.lossy.take() else { break };
             let Some(written) = rounded_by_file(&decoded.scan, decoded.bytes) else {
                 return Ok(bound.holds(scan, &decoded.scan).then_some(candidate));
             };
@@ -279,109 +239,95 @@ impl<'s> TrackEncoder<'s> {
     /// Encodes a file that is not a scan, in every mode, as its bytes.
     fn encode_beside(&mut self, file: &ScanFile, original: FrameHeader) -> Result<EncodedFrame> {
         let stages = StageReport { frames: 1, original: original.file_size, ..StageReport::default() };
-        let whole = WholeFile::of_any_file(file, self.config.level)?;
-        self.encode_whole(whole, 0, original, stages)
+        let whole = WholeFile::of_any_file(file, self.config.compressors())?;
+        encode_whole(&mut self.state.models, whole, 0, original, stages)
     }
 
-    /// Encodes a frame as the bytes of its file, which do not change the models.
-    fn encode_whole(
-        &mut self,
-        whole: WholeFile,
-        records: usize,
-        header: FrameHeader,
-        mut stages: StageReport,
-    ) -> Result<EncodedFrame> {
-        let mut writer = SectionWriter::new(Effort::default());
-        self.state.models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, records))?;
-        stages.add(&writer.report);
-        pay_for(&mut writer.sections, header.file_size.max(records as u64));
-        stages.count_sections(&writer.sections);
-        Ok(EncodedFrame { header, sections: writer.sections, stages })
-    }
-
-    /// Encodes the next frame with these settings. Returns the decoded file too, unless it is the original.
+    /// Codes a frame as the one after `state` with these settings, in the steps of the article.
     fn encode_as(
         &mut self,
+        mut state: TrackState<'s>,
         config: &EncoderConfig,
         scan: ScanFile,
         original: FrameHeader,
-    ) -> Result<(EncodedFrame, Option<LossyFile>)> {
+    ) -> Result<Candidate<'s>> {
         let mut stages = StageReport { frames: 1, original: original.file_size, ..StageReport::default() };
         let name = scan.name.clone();
-        let mut frame = FrameParts::from_scan(scan, self.scanner, config, &mut stages)?;
-        frame.parameters.halved = self.halves(&frame);
-        let before = may_be_unexplained(&frame, config).then(|| (self.state.models.clone(), stages));
-        let mut best: Option<Attempt> = None;
-        let fit = stages.timed(Stage::Registration, || self.estimate_motion(&frame));
-        let has_regions = self.scanner.is_some_and(|scanner| scanner.hdl64().is_some());
-        let mut predictions = self.config.predictions(fit, has_regions).into_iter().peekable();
-        while let Some(prediction) = predictions.next() {
-            let (models, frame) = match predictions.peek() {
-                Some(_) => (self.state.models.clone(), frame.clone()),
-                None => (take(&mut self.state.models), take(&mut frame)),
-            };
-            let attempt = self.attempt(frame, prediction, models, stages)?;
-            if best.as_ref().is_none_or(|best| attempt.cost() < best.cost()) {
-                best = Some(attempt);
-            }
-        }
-        let Some(Attempt { models, frame, mut sections, stages, .. }) = best else {
-            return Err(Error::Internal("no prediction to choose from".to_owned()));
-        };
-        let unfolded = frame.unfolded_bytes();
-        self.state.frames += 1;
-        let own = size_of_sections(&sections);
-        if self.state.frames == 1 && are_corrections_costly(&frame, &sections) {
-            // The scanner knows where the points are, but not the numbers of the file.
-            let scan = frame.clone().into_scan(&name)?;
-            let mut without = TrackEncoder::new(None, self.config);
-            let (encoded, lossy) = without.encode_as(config, scan, original.clone())?;
-            if encoded.size() < own {
-                *self = without;
-                return Ok((encoded, lossy));
-            }
-        }
-        // Where a compressor won, the models are tried again: other scans of the group may be theirs.
-        if let Some((models, stages)) = before
-            && is_unexplained(&frame, &sections, original.file_size)
+        let mut frame = FrameParts::from_scan(scan, state.scanner, config, &mut stages)?;
+        frame.parameters.halved = state.halves(&frame, config);
+        let before = may_be_unexplained(&frame, config).then(|| (state.models.clone(), stages));
+        let fit = stages.timed(Stage::Registration, || state.estimate_motion(&frame, config));
+        let best = state.best_attempt(frame, fit, config, stages)?;
+        if state.frames == 1
+            && let Some(candidate) = self.without_scanner(&best, config, &name, &original)?
         {
-            let (records, scan) = (frame.records, frame.clone().into_scan(&name)?);
-            if let Some(whole) = WholeFile::shorter(&scan, config.level, own, &mut self.whole)? {
-                self.state.models = models;
-                return Ok((self.encode_whole(whole, records, original, stages)?, None));
-            }
+            return Ok(candidate);
         }
-        self.state.models = models;
-        if frame.parameters.source.is_none() {
-            pay_for(&mut sections, unfolded.max(original.file_size));
-            return Ok((EncodedFrame { header: original, sections, stages }, None));
+        // Where a compressor wins, the models are tried again: other scans of the group may be theirs.
+        if let Some((models, stages)) = before
+            && let Some(whole) = self.as_whole_file(&best, config, &name, &original)?
+        {
+            state.models = models;
+            let encoded = encode_whole(&mut state.models, whole, best.frame.records, original, stages)?;
+            return Ok(Candidate { encoded, lossy: None, after: state });
         }
-        let decoded = frame.into_scan(&name)?;
-        let bytes = decoded.to_bytes()?;
-        let header =
-            FrameHeader { stamp: original.stamp, ..FrameHeader::of(&name, &bytes, decoded.records as u64) };
-        pay_for(&mut sections, unfolded.max(header.file_size));
-        let decoded = LossyFile { scan: decoded, bytes };
-        Ok((EncodedFrame { header, sections, stages }, Some(decoded)))
+        state.models = best.models;
+        let (encoded, lossy) = finished(best.frame, best.sections, best.stages, &name, original)?;
+        Ok(Candidate { encoded, lossy, after: state })
     }
 
+    /// The first frame of a track without its scanner, if that is smaller: a scanner may know where the
+    /// points are, but not the numbers of the file.
+    fn without_scanner(
+        &mut self,
+        best: &Attempt,
+        config: &EncoderConfig,
+        name: &str,
+        original: &FrameHeader,
+    ) -> Result<Option<Candidate<'s>>> {
+        if !are_corrections_costly(&best.frame, &best.sections) {
+            return Ok(None);
+        }
+        let scan = best.frame.clone().into_scan(name)?;
+        let without = self.encode_as(TrackState::default(), config, scan, original.clone())?;
+        Ok(Some(without).filter(|without| without.encoded.size() < best.size()))
+    }
+
+    /// The bytes of the frame's file by a general-purpose compressor, if the models do not suit it and that is
+    /// smaller.
+    fn as_whole_file(
+        &mut self,
+        best: &Attempt,
+        config: &EncoderConfig,
+        name: &str,
+        original: &FrameHeader,
+    ) -> Result<Option<WholeFile>> {
+        if !is_unexplained(&best.frame, &best.sections, original.file_size) {
+            return Ok(None);
+        }
+        let scan = best.frame.clone().into_scan(name)?;
+        WholeFile::shorter(&scan, config.compressors(), best.size(), &mut self.whole)
+    }
+}
+
+impl TrackState<'_> {
     /// Whether the halves of a frame's image are coded separately. The first frame decides for all: they are
     /// if its image is large and the models adapt to each value.
-    fn halves(&mut self, frame: &FrameParts) -> bool {
+    fn halves(&mut self, frame: &FrameParts, config: &EncoderConfig) -> bool {
         let RangeCoder::Context { modelling, .. } = frame.parameters.range_coder else { return false };
         let returns = frame.occupancy.cells().iter().filter(|filled| **filled).count();
         modelling.parts().is_adaptive()
             && returns > 0
-            && *self.state.halves.get_or_insert(returns >= self.config.halved_from)
+            && *self.halves.get_or_insert(returns >= config.halved_from)
     }
 
     /// Estimates the motion of the scanner since the frame before, if the frame may be predicted from that
     /// (equation 8). Returns how much of that frame fits this one, from 0 to 1; `None` if it does not fit.
-    fn estimate_motion(&mut self, frame: &FrameParts) -> Option<f64> {
+    fn estimate_motion(&mut self, frame: &FrameParts, config: &EncoderConfig) -> Option<f64> {
         /// The minimum share of returns with the same range as before if the scanner stands still.
         const STANDING_STILL: f64 = 0.5;
-        let (scanner, past) = (self.scanner?, self.state.models.past()?);
-        let choice = self.config.inter_choice(self.state.frames);
+        let (scanner, past) = (self.scanner?, self.models.past()?);
+        let choice = config.inter_choice(self.frames);
         let is_too_large = frame.image.steps.cells().len() > inter::MOST_CELLS;
         if frame.strays == frame.records || is_too_large || choice == InterChoice::Never {
             return None;
@@ -393,17 +339,39 @@ impl<'s> TrackEncoder<'s> {
                 return None;
             }
             if surfaces.is_none() || frame.parameters.can_do_without_surfaces() {
-                self.state.motion = QuantisedPose::default();
+                self.motion = QuantisedPose::default();
                 return Some(agreement);
             }
         }
         let scanner = surfaces?;
         let surface = past.surface(scanner);
-        let found =
-            register(surface, &frame.image, scanner, &self.state.motion.pose(), &self.config.registration);
+        let found = register(surface, &frame.image, scanner, &self.motion.pose(), &config.registration);
         let motion = found.and_then(|found| found.pose.quantise());
-        self.state.motion = motion.unwrap_or_default();
+        self.motion = motion.unwrap_or_default();
         motion.and(found).map(|found| found.fit)
+    }
+
+    /// Codes the next frame with each prediction that is worth a try, and returns the best result. The models
+    /// are left to it.
+    fn best_attempt(
+        &mut self,
+        mut frame: FrameParts,
+        fit: Option<f64>,
+        config: &EncoderConfig,
+        stages: StageReport,
+    ) -> Result<Attempt> {
+        frame.parameters.motion = self.motion;
+        let has_regions = self.scanner.is_some_and(|scanner| scanner.hdl64().is_some());
+        let mut predictions = config.predictions(fit, has_regions);
+        let last = predictions.pop().unwrap_or_default();
+        let mut best = None;
+        for prediction in predictions {
+            let attempt = self.attempt(frame.clone(), prediction, self.models.clone(), config, stages)?;
+            best = Some(attempt.or_better(best));
+        }
+        let models = take(&mut self.models);
+        self.frames += 1;
+        Ok(self.attempt(frame, last, models, config, stages)?.or_better(best))
     }
 
     /// Codes a frame with this prediction, with models that continue from those of the group.
@@ -412,20 +380,55 @@ impl<'s> TrackEncoder<'s> {
         mut frame: FrameParts,
         prediction: Prediction,
         mut models: Models,
+        config: &EncoderConfig,
         mut stages: StageReport,
     ) -> Result<Attempt> {
         let is_image = matches!(frame.parameters.range_coder, RangeCoder::Image(_));
         let original = is_image.then(|| frame.image.steps.clone());
-        frame.parameters.motion = self.state.motion;
-        frame.predict(prediction, self.scanner, self.config, &mut stages);
-        let effort = Effort { level: self.config.level, image: self.config.image };
-        let mut writer = SectionWriter::new(effort);
+        frame.predict(prediction, self.scanner, config, &mut stages);
+        let mut writer = SectionWriter::new(config.effort());
         models.code_frame(&mut writer, self.scanner, &mut frame)?;
         stages.add(&writer.report);
         stages.count_sections(&writer.sections);
         let error = original.map_or(0.0, |ranges| squared_error(&ranges, &frame.image.steps));
         Ok(Attempt { models, frame, sections: writer.sections, error, stages })
     }
+}
+
+/// Encodes a frame as the bytes of its file, which do not change the models.
+fn encode_whole(
+    models: &mut Models,
+    whole: WholeFile,
+    records: usize,
+    header: FrameHeader,
+    mut stages: StageReport,
+) -> Result<EncodedFrame> {
+    let mut writer = SectionWriter::new(Effort::default());
+    models.code_frame(&mut writer, None, &mut FrameParts::of_whole(whole, records))?;
+    stages.add(&writer.report);
+    pay_for(&mut writer.sections, header.file_size.max(records as u64));
+    stages.count_sections(&writer.sections);
+    Ok(EncodedFrame { header, sections: writer.sections, stages })
+}
+
+/// A coded frame with its header and padding, and the decoded file, unless it is the original.
+fn finished(
+    frame: FrameParts,
+    mut sections: Vec<Section>,
+    stages: StageReport,
+    name: &str,
+    original: FrameHeader,
+) -> Result<(EncodedFrame, Option<LossyFile>)> {
+    let unfolded = frame.unfolded_bytes();
+    if frame.parameters.source.is_none() {
+        pay_for(&mut sections, unfolded.max(original.file_size));
+        return Ok((EncodedFrame { header: original, sections, stages }, None));
+    }
+    let scan = frame.into_scan(name)?;
+    let bytes = scan.to_bytes()?;
+    let header = FrameHeader { stamp: original.stamp, ..FrameHeader::of(name, &bytes, scan.records as u64) };
+    pay_for(&mut sections, unfolded.max(header.file_size));
+    Ok((EncodedFrame { header, sections, stages }, Some(LossyFile { scan, bytes })))
 }
 
 /// Whether the models may do worse than a general-purpose compressor, as many records are no returns of a
@@ -454,7 +457,7 @@ fn are_corrections_costly(frame: &FrameParts, sections: &[Section]) -> bool {
     frame.parameters.source.is_none() && 8 * bytes > MOST_BITS * (frame.records - frame.strays)
 }
 
-/// A frame coded in one of several ways.
+/// A frame coded with one of several predictions.
 struct Attempt {
     /// The models after coding it.
     models: Models,
@@ -469,7 +472,19 @@ struct Attempt {
 impl Attempt {
     /// The squared error, then the bytes of the sections.
     fn cost(&self) -> (f64, usize) {
-        (self.error, size_of_sections(&self.sections))
+        (self.error, self.size())
+    }
+
+    fn size(&self) -> usize {
+        size_of_sections(&self.sections)
+    }
+
+    /// This attempt or an earlier one, which wins ties.
+    fn or_better(self, earlier: Option<Attempt>) -> Attempt {
+        match earlier {
+            Some(earlier) if self.cost() >= earlier.cost() => earlier,
+            _ => self,
+        }
     }
 }
 

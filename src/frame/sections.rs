@@ -2,7 +2,7 @@
 
 use super::stages::StageReport;
 use crate::article::image_coding::ImageConfig;
-use crate::backend::Level;
+use crate::backend::{Compressors, Level};
 use crate::container::{Section, SectionKind};
 use crate::entropy::{
     ArithmeticDecoder, ArithmeticEncoder, BitCoder, TokenCoder, TokenReader, TokenTables, TokenWriter,
@@ -16,6 +16,8 @@ use crate::ground::team;
 pub struct Effort {
     /// The effort of a general-purpose back-end.
     pub level: Level,
+    /// The general-purpose compressors that may be tried in place of models.
+    pub compressors: Compressors,
     /// The settings of an image coder.
     pub image: ImageConfig,
 }

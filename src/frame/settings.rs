@@ -6,11 +6,12 @@ use super::fidelity::{
 use super::levels::{self, InterChoice, LevelSettings};
 use super::modelling::Modelling;
 use super::parameters::{FrameParameters, Prediction, RangeCoder};
+use super::sections::Effort;
 use crate::article::image_coding::{ImageCodec, ImageConfig, Rate};
 use crate::article::outlier::RadiusOutlier;
 use crate::article::prediction::intra::{IntraConfig, RegionModels};
 use crate::article::segmentation::SegmentationConfig;
-use crate::backend::{self, Level, Packing};
+use crate::backend::{self, Compressors, Level, Packing};
 use crate::files::HeaderlessLayout;
 use crate::ground::error::{Error, Result};
 use crate::inter::registration::{QuantisedPose, RegistrationConfig};
@@ -224,6 +225,16 @@ impl EncoderConfig {
     /// The context coder's modelling at this level.
     pub(crate) fn modelling(&self) -> Modelling {
         self.level_settings().modelling
+    }
+
+    /// Which general-purpose compressors are tried where models may do worse.
+    pub(crate) fn compressors(&self) -> Compressors {
+        self.level_settings().compressors
+    }
+
+    /// The effort of the coders of a frame.
+    pub(crate) fn effort(&self) -> Effort {
+        Effort { level: self.level, compressors: self.compressors(), image: self.image }
     }
 
     /// The number of frames to which the scanner is fitted.

@@ -1,7 +1,7 @@
 //! A frame coded as the bytes of its file by a general-purpose compressor: the fallback if no model pays.
 //! FORMAT.md 8.18.
 
-use crate::backend::{self, Level, STORE, Trial, may_lzma_pay};
+use crate::backend::{self, Compressors, STORE, Trial, may_lzma_pay};
 use crate::files::{parse, plain_records};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -24,7 +24,12 @@ impl WholeFile {
     ///
     /// # Errors
     /// If the compressor's library fails.
-    pub fn shorter(scan: &ScanFile, level: Level, most: usize, trial: &mut Trial) -> Result<Option<Self>> {
+    pub fn shorter(
+        scan: &ScanFile,
+        compressors: Compressors,
+        most: usize,
+        trial: &mut Trial,
+    ) -> Result<Option<Self>> {
         /// Bytes of a sample. Less than four times as many are not sampled.
         const SAMPLE: usize = 64 << 10;
         let bytes = scan.to_bytes()?;
@@ -38,7 +43,7 @@ impl WholeFile {
             let is_large = bytes.len() >= 4 * SAMPLE;
             is_large.then(|| bytes[(bytes.len() - SAMPLE) / 2..][..SAMPLE].to_vec())
         };
-        let coded = backend::shortest(&bytes, level, |quick| may_lzma_pay(quick, most, sample))?;
+        let coded = backend::shortest(&bytes, compressors, |quick| may_lzma_pay(quick, most, sample))?;
         // Files without points tell nothing about scans.
         if scan.records > 0 {
             *trial = Trial::of(coded.1.len(), most, likeness());
@@ -50,12 +55,12 @@ impl WholeFile {
     ///
     /// # Errors
     /// If the compressor's library fails.
-    pub fn of_any_file(file: &ScanFile, level: Level) -> Result<Self> {
+    pub fn of_any_file(file: &ScanFile, compressors: Compressors) -> Result<Self> {
         /// The compression ratio of the fast compressor from which on no compressor is expected to help much.
         const COMPRESSED: f64 = 0.98;
         let bytes = file.to_bytes()?;
         let mut coded =
-            backend::shortest(&bytes, level, |size| (size as f64) < COMPRESSED * bytes.len() as f64)?;
+            backend::shortest(&bytes, compressors, |size| (size as f64) < COMPRESSED * bytes.len() as f64)?;
         if coded.1.len() >= bytes.len() {
             coded = (STORE, bytes.clone());
         }
@@ -139,8 +144,9 @@ mod tests {
 
     fn comes_back(name: &str, bytes: &[u8]) {
         let scan = parse(name, bytes.to_vec());
-        for level in Level::all() {
-            let whole = WholeFile::shorter(&scan, level, usize::MAX, &mut Trial::Open).unwrap().unwrap();
+        for compressors in [Compressors::Fast, Compressors::Slow, Compressors::All] {
+            let whole =
+                WholeFile::shorter(&scan, compressors, usize::MAX, &mut Trial::Open).unwrap().unwrap();
             let (payload, limits) = (whole.payload().to_vec(), Limits::default());
             let decoded = WholeFile::from_payload(&payload, &limits).unwrap();
             let decoded = decoded.into_scan(name, scan.records).unwrap();

@@ -5,7 +5,7 @@ use std::mem::take;
 use byteorder::{ByteOrder, LittleEndian};
 
 use super::returns::Part;
-use crate::backend::Level;
+use crate::backend::Compressors;
 use crate::container::SectionKind;
 use crate::entropy::{BitCoder, TokenCoder, TokenTables};
 use crate::frame::fidelity::IntensityFidelity;
@@ -74,11 +74,11 @@ impl IntensityModels {
                     .map(|()| Grid::default());
             }
         };
-        let level = sections.effort().level;
+        let compressors = sections.effort().compressors;
         sections.section(SectionKind::Intensity, true, |coder| {
             scale.code(|value, bits| coder.code_plain(u64::from(value), bits) as u32);
             if !scale.is_on_grid() {
-                return self.code_rough(coder, part, values, level);
+                return self.code_rough(coder, part, values, compressors);
             }
             let model = self.adaptive.get_or_insert_default();
             model.use_deep(is_deep);
@@ -93,7 +93,7 @@ impl IntensityModels {
         coder: &mut C,
         part: &Part,
         known: &mut Intensities,
-        level: Level,
+        compressors: Compressors,
     ) -> Result<Grid<u16>> {
         let returns = part.cells.len();
         let width = part.occupancy.columns() as u32;
@@ -131,7 +131,7 @@ impl IntensityModels {
         let bytes = coded.iter().flat_map(|&index| values[index].to_le_bytes()).collect();
         let mut channels = [Channel { field: Field::new("intensity", Scalar::F32), bytes }];
         // One column, whose image is no larger than the range image.
-        self.rough.code(coder, &mut channels, &context, level, u64::MAX)?;
+        self.rough.code(coder, &mut channels, &context, compressors, u64::MAX)?;
         let [Channel { bytes, .. }] = channels;
         for (&index, value) in coded.iter().zip(bytes.chunks_exact(4).map(LittleEndian::read_f32)) {
             values[index] = value;

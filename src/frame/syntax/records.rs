@@ -47,10 +47,10 @@ impl RecordModels {
         let bytes = frame.records.saturating_mul(frame.layout.channel_bytes());
         Error::check_limit("bytes of the frame", bytes as u64, sections.limits().file_bytes)?;
         frame.fit_channels();
-        let (level, most_cells) = (sections.effort().level, sections.limits().points);
+        let (compressors, most_cells) = (sections.effort().compressors, sections.limits().points);
         sections.section(SectionKind::Channels, bytes > 0, |coder| {
             let mut context = frame.record_context(scanner)?;
-            let cells = self.channels.code(coder, &mut frame.channels, &context, level, most_cells)?;
+            let cells = self.channels.code(coder, &mut frame.channels, &context, compressors, most_cells)?;
             frame.image_cells_of_channels = cells;
             if !S::ENCODES {
                 frame.decoded_in_file_order =

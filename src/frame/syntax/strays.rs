@@ -4,7 +4,7 @@ use std::cell::LazyCell;
 
 use byteorder::{ByteOrder, LittleEndian};
 
-use crate::backend::{Level, Trial};
+use crate::backend::{Compressors, Trial};
 use crate::container::SectionKind;
 use crate::entropy::{AdaptiveBit, BitCoder};
 use crate::frame::parts::FrameParts;
@@ -34,13 +34,14 @@ impl StrayModels {
     pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let has_points = frame.layout.position.is_some();
         frame.stray_positions.resize(if has_points { frame.strays } else { 0 }, [0.0; 3]);
-        let (lattice, level) = (frame.parameters.positions.lattice(), sections.effort().level);
+        let lattice = frame.parameters.positions.lattice();
+        let compressors = sections.effort().compressors;
         sections.section(SectionKind::Strays, !frame.stray_positions.is_empty(), |coder| {
             // The records of a frame without an image are its strays.
             let channels = if frame.strays == frame.records { frame.channels.as_slice() } else { &[] };
             let positions = &mut frame.stray_positions;
             frame.stray_trails =
-                self.code_strays(coder, (lattice, level), frame.records, positions, channels)?;
+                self.code_strays(coder, (lattice, compressors), frame.records, positions, channels)?;
             Ok(())
         })
     }
@@ -50,7 +51,7 @@ impl StrayModels {
     fn code_strays<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        (lattice, level): (Option<CoordinateGrid>, Level),
+        (lattice, compressors): (Option<CoordinateGrid>, Compressors),
         records: usize,
         positions: &mut [[f32; 3]],
         channels: &[Channel],
@@ -65,7 +66,7 @@ impl StrayModels {
                 false => Vec::new(),
             };
             let likeness = LazyCell::new(|| Trial::likeness(&bytes, positions.len()));
-            let compress = |most| Compressed::shortest(&bytes, Scalar::F32, WIDTH, level, most);
+            let compress = |most| Compressed::shortest(&bytes, Scalar::F32, WIDTH, compressors, most);
             if may_compress && self.trial.has_won(|| *likeness) {
                 compressed = compress(usize::MAX);
             }

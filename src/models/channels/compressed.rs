@@ -1,6 +1,6 @@
 //! Columns coded by a general-purpose coder after their bytes are arranged for it. FORMAT.md 8.17.
 
-use crate::backend::{self, LZMA, LZMA_LEVEL, Level, ZSTD, may_lzma_pay};
+use crate::backend::{self, Compressors, LZMA, ZSTD, may_lzma_pay};
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::scan::Scalar;
@@ -77,7 +77,13 @@ pub struct Compressed {
 impl Compressed {
     /// The shortest way; slow ones are tried only if they may take fewer than `most` bytes. `None` if `most`
     /// is small anyway.
-    pub fn shortest(bytes: &[u8], scalar: Scalar, width: usize, level: Level, most: usize) -> Option<Self> {
+    pub fn shortest(
+        bytes: &[u8],
+        scalar: Scalar,
+        width: usize,
+        compressors: Compressors,
+        most: usize,
+    ) -> Option<Self> {
         /// In 16ths of a byte per record: records that take less than this are explained by the models.
         const EXPLAINED: usize = 1;
         /// In bytes.
@@ -98,8 +104,8 @@ impl Compressed {
             let at = (records >= 4 * SAMPLE).then(|| (records - SAMPLE) / 2)?;
             Some(Arrangement::ALL[best].apply(&bytes[at * width..][..SAMPLE * width], scalar, width))
         };
-        if level.number() >= LZMA_LEVEL && may_lzma_pay(compressed.payload.len(), most, sample) {
-            let tried = (0..arranged.len()).filter(|&at| at == best || level.number() >= THOROUGH_LEVEL);
+        if compressors != Compressors::Fast && may_lzma_pay(compressed.payload.len(), most, sample) {
+            let tried = (0..arranged.len()).filter(|&at| at == best || compressors == Compressors::All);
             for at in tried {
                 let payload = backend::compress_hardest(&arranged[at]).ok()?;
                 if payload.len() < compressed.payload.len() {
@@ -117,9 +123,6 @@ impl Compressed {
         self.payload.len() + HEADER
     }
 }
-
-/// From this level on, LZMA is tried on every arrangement.
-const THOROUGH_LEVEL: u8 = 7;
 
 /// Codes records that a general-purpose coder has compressed. A decoder passes zeros of the same length, and
 /// `None` for `compressed`.

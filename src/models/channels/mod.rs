@@ -23,7 +23,7 @@ use column::{ColumnModel, convert};
 use plan::Plan;
 
 use super::ByteModel;
-use crate::backend::{Level, Trial};
+use crate::backend::{Compressors, Trial};
 use crate::entropy::{ArithmeticEncoder, BitCoder};
 use crate::ground::error::{Error, Result};
 use crate::scan::{Channel, Field, Scalar};
@@ -112,8 +112,8 @@ impl Shape {
 }
 
 impl ChannelsModel {
-    /// Codes the values of channels; a decoder passes zeros of the same length. `level` is the effort of an
-    /// encoder. The images of all columns have at most `most_cells` cells. Returns their number, 0 if no
+    /// Codes the values of channels; a decoder passes zeros of the same length. An encoder
+    /// may try these `compressors`. The images of all columns have at most `most_cells` cells. Returns their number, 0 if no
     /// column is coded by one.
     ///
     /// # Errors
@@ -123,7 +123,7 @@ impl ChannelsModel {
         coder: &mut C,
         channels: &mut [Channel],
         context: &RecordContext,
-        level: Level,
+        compressors: Compressors,
         most_cells: u64,
     ) -> Result<u64> {
         let mut order: Vec<usize> = (0..channels.len()).collect();
@@ -147,7 +147,7 @@ impl ChannelsModel {
                 bytes: bytes_model,
                 width: scalar.size() as usize * (channels[channel].field.count as usize),
                 scalar,
-                level,
+                compressors,
             };
             coding.code(coder, &sources, &mut bytes)?;
             channels[channel].bytes = bytes;
@@ -319,7 +319,7 @@ struct ChannelCoder<'m> {
     bytes: &'m mut ByteModel,
     width: usize,
     scalar: Scalar,
-    level: Level,
+    compressors: Compressors,
 }
 
 impl ChannelCoder<'_> {
@@ -440,16 +440,16 @@ impl ChannelCoder<'_> {
 
     /// The channel by a general-purpose coder; `None` if the `most` bytes that it may take are few.
     fn compressed(&self, bytes: &[u8], most: usize) -> Option<Compressed> {
-        Compressed::shortest(bytes, self.scalar, self.width, self.level, most)
+        Compressed::shortest(bytes, self.scalar, self.width, self.compressors, most)
     }
 
     /// The size by the model of bytes, for comparison with other ways: they are preferred up to this size, as
     /// the model takes many times as long as any of them to encode and decode.
     fn handicapped(&self, as_bytes: usize) -> usize {
-        match self.level.number() {
-            1..=3 => as_bytes.saturating_add(as_bytes / 4),
-            4..=6 => as_bytes.saturating_add(as_bytes / 32),
-            _ => as_bytes,
+        match self.compressors {
+            Compressors::Fast => as_bytes.saturating_add(as_bytes / 4),
+            Compressors::Slow => as_bytes.saturating_add(as_bytes / 32),
+            Compressors::All => as_bytes,
         }
     }
 

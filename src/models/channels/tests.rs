@@ -20,11 +20,17 @@ fn frames_round_trip(frames: &[(&[Channel], &RecordContext)]) -> Vec<usize> {
     let (mut writer, mut reader) = (ChannelsModel::default(), ChannelsModel::default());
     let sizes = frames.iter().map(|&(channels, context)| {
         let mut encoder = ArithmeticEncoder::default();
-        writer.code(&mut encoder, &mut channels.to_vec(), context, Level::default(), u64::MAX).unwrap();
+        writer.code(&mut encoder, &mut channels.to_vec(), context, Compressors::default(), u64::MAX).unwrap();
         let bytes = encoder.finish();
         let mut decoded = empty(channels);
         reader
-            .code(&mut ArithmeticDecoder::new(&bytes), &mut decoded, context, Level::default(), u64::MAX)
+            .code(
+                &mut ArithmeticDecoder::new(&bytes),
+                &mut decoded,
+                context,
+                Compressors::default(),
+                u64::MAX,
+            )
             .unwrap();
         assert_eq!(decoded, channels);
         bytes.len()
@@ -251,11 +257,11 @@ fn what_repeats_far_away_is_compressed() {
     let turn: Vec<u8> = (0..20_000).map(|n| noise(n) as u8).collect();
     let field = Field { count: 20, ..Field::padding(1) };
     let bytes = [&turn[..], &turn[..7000], &turn[..], &turn[..9000]].concat();
-    for level in Level::all() {
+    for compressors in [Compressors::Fast, Compressors::Slow, Compressors::All] {
         let channels = [Channel { field: field.clone(), bytes: bytes.clone() }];
         let mut encoder = ArithmeticEncoder::default();
         ChannelsModel::default()
-            .code(&mut encoder, &mut channels.clone(), &RecordContext::default(), level, u64::MAX)
+            .code(&mut encoder, &mut channels.clone(), &RecordContext::default(), compressors, u64::MAX)
             .unwrap();
         let coded = encoder.finish();
         assert!(coded.len() < 21_000, "{} bytes", coded.len());
@@ -265,7 +271,7 @@ fn what_repeats_far_away_is_compressed() {
                 &mut ArithmeticDecoder::new(&coded),
                 &mut decoded,
                 &RecordContext::default(),
-                level,
+                compressors,
                 u64::MAX,
             )
             .unwrap();
@@ -386,13 +392,14 @@ fn images_of_channels_have_no_more_cells_than_allowed() {
     let code = |most_cells: u64| {
         let mut encoder = ArithmeticEncoder::default();
         let mut model = ChannelsModel::default();
-        let cells = model.code(&mut encoder, &mut channels.clone(), &context, Level::default(), most_cells);
+        let cells =
+            model.code(&mut encoder, &mut channels.clone(), &context, Compressors::default(), most_cells);
         (cells.unwrap(), encoder.finish())
     };
     let decode = |bytes: &[u8], most_cells: u64| {
         let (mut decoder, mut decoded) = (ArithmeticDecoder::new(bytes), empty(&channels));
         let mut model = ChannelsModel::default();
-        model.code(&mut decoder, &mut decoded, &context, Level::default(), most_cells).map(|_| decoded)
+        model.code(&mut decoder, &mut decoded, &context, Compressors::default(), most_cells).map(|_| decoded)
     };
     let (cells, bytes) = code(u64::MAX);
     assert_eq!(cells, 22 * 201);
@@ -492,6 +499,6 @@ proptest! {
     fn any_bytes_decode_to_channels_or_an_error(bytes: Vec<u8>, channels in prop::collection::vec(any_channel(20), 1..4)) {
         let mut decoded = empty(&channels);
         let mut decoder = ArithmeticDecoder::new(&bytes);
-        drop(ChannelsModel::default().code(&mut decoder, &mut decoded, &RecordContext::default(), Level::default(), u64::MAX));
+        drop(ChannelsModel::default().code(&mut decoder, &mut decoded, &RecordContext::default(), Compressors::default(), u64::MAX));
     }
 }
