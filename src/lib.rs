@@ -9,13 +9,13 @@
 //!
 //! use lidarpc::{Decoder, Encoder, Scan, Settings};
 //!
-//! fn copy(drive: &[(i64, Vec<[f32; 4]>)]) -> lidarpc::Result<()> {
+//! fn round_trip(drive: &[(i64, Vec<[f32; 4]>)]) -> lidarpc::Result<()> {
 //!     let mut encoder = Encoder::new(File::create("drive.lpc")?, Settings::exact())?;
 //!     for (time, xyzi) in drive {
 //!         encoder.push(Scan::from_xyzi(xyzi).at_time(*time))?;
 //!     }
 //!     encoder.finish()?;
-//!     for scan in Decoder::open(File::open("drive.lpc")?)?.scans(10..20) {
+//!     for scan in Decoder::open(File::open("drive.lpc")?)?.scans(..) {
 //!         let scan = scan?;
 //!         let (positions, intensities) = (scan.positions(), scan.channel::<f32>("intensity")?);
 //!         assert_eq!(positions.len(), intensities.len());

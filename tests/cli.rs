@@ -170,7 +170,9 @@ fn verify_finds_what_differs() {
 
     fs::write(bench.path("seq/extra.bin"), b"more").unwrap();
     bench.fails("verify out.lpc --against seq", "seq/extra.bin");
+    bench.fails("verify out.lpc out.lpc --against seq", "seq/extra.bin");
     fs::remove_file(bench.path("seq/extra.bin")).unwrap();
+    bench.ok("verify out.lpc out.lpc --against seq");
 
     let mut changed = scan(41, 3);
     changed[5] ^= 1;
@@ -392,9 +394,17 @@ fn names_in_a_stream_cannot_leave_the_folder() {
             (vec![], vec!["back".to_owned()]),
             "{name:?}"
         );
+        if !name.is_empty() {
+            let error = bench.fails("verify evil.lpc", "evil.lpc");
+            assert!(error.contains("frame 1 has the name"), "{error}");
+            bench.command("decode evil.lpc -o in/kept --keep-going").assert().code(3);
+            assert_eq!(bench.names("in/kept"), ["fine.bin"]);
+            fs::remove_dir_all(bench.path("in/kept")).unwrap();
+        }
     }
     write(&["twice.bin", "twice.bin"]);
     bench.fails("decode evil.lpc -o in/back --force", "in/back");
+    bench.fails("verify evil.lpc", "evil.lpc");
     write(&["fine.bin", "also fine.bin"]);
     bench.ok("decode evil.lpc -o in/back");
     assert_eq!(bench.names("in/back"), ["also fine.bin", "fine.bin"]);

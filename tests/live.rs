@@ -342,6 +342,27 @@ fn a_tar_pipe_comes_back() {
 }
 
 #[test]
+fn what_arrived_before_the_input_was_cut_is_kept() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("out.lpc");
+    let out = out.to_str().unwrap();
+    let files = files(4);
+    let bytes: Vec<u8> = files.iter().flat_map(framed).collect();
+    let run = |args: &[&str]| {
+        let mut child = program(&[&["encode", "-", "-o", out], args].concat());
+        child.stdin.take().unwrap().write_all(&bytes[..bytes.len() - 5]).unwrap();
+        let done = child.wait_with_output().unwrap();
+        (done.status.code(), String::from_utf8(done.stderr).unwrap())
+    };
+    assert_eq!(run(&["--strict"]).0, Some(1));
+    assert!(!fs::exists(out).unwrap());
+    let (code, said) = run(&["--gop", "2"]);
+    assert_eq!(code, Some(1));
+    assert!(said.contains("ends early, after 3 frames: 3.bin: is cut short"), "{said}");
+    assert_eq!(decode_files(&fs::read(out).unwrap()).unwrap(), files[..3]);
+}
+
+#[test]
 fn unsafe_names_and_cut_input_leave_nothing() {
     let folder = TempDir::new().unwrap();
     let output = folder.path().join("out.lpc");

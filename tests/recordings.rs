@@ -416,6 +416,8 @@ fn the_program_packs_and_unpacks() {
         (&true.into(), &clouds(&after, "compressed").into())
     );
     lidarpc(&["verify", &path("small.mcap"), "--against", &path(".")]).code(2);
+    // Only a recording becomes one.
+    lidarpc(&["encode", &path("a"), "-o", &path("new.mcap")]).code(2);
     // An input that does not exist is named, not the output.
     for command in ["encode", "decode"] {
         let missing = lidarpc(&[command, &path("missing.mcap"), "-o", &path("new.mcap")]).code(1);

@@ -184,6 +184,9 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
     bench.ok("encode tree -o tree/streams/ --all");
     bench.ok("encode tree -o tree/streams/ --all --force");
     bench.ok("decode tree/streams -o again");
+    bench.command("decode tree/streams -o -").assert().code(2);
+    let reports = bench.json("decode tree/streams -o with_report --json");
+    assert!(reports.as_array().unwrap().len() > 1 && reports[0]["frames"].as_u64() > Some(0), "{reports}");
     fs::remove_dir_all(bench.path("tree/streams")).unwrap();
     assert_eq!(tree(&bench.path("tree")), tree(&bench.path("again")));
     // Files that belong to no drive are reported.
@@ -272,13 +275,16 @@ fn times_come_from_lists_and_names() {
     assert_eq!(bench.json("stats end.lpc --json")["frames"], 2);
     let error = bench.fails("decode out.lpc -o none --time 5s..6s", "out.lpc");
     assert!(error.contains("from 0 to 1.100 s"), "{error}");
-    // A list that does not match the scans is ignored.
+    // A list that does not match the scans is ignored, and if no other one does, that is said.
     let scans = [("7.bin", 1), ("8.bin", 2)].map(|(name, seed)| (name.to_owned(), scan(50, seed)));
     bench.write_files("lists/velodyne", &scans.into());
     let lists = [("timestamps.txt", "2011-09-26 13:02:25\n"), ("times.txt", "0\n0.5\n")];
     bench.write_files("lists", &lists.map(|(name, lines)| (name.to_owned(), lines.into())).into());
     bench.ok("encode lists -o lists.lpc");
     assert_eq!(bench.json("info lists.lpc --json")["frames"][1]["time"], 500_000_000);
+    fs::remove_file(bench.path("lists/times.txt")).unwrap();
+    let said = bench.says("encode lists -o untimed.lpc");
+    assert!(said.contains("lists/timestamps.txt: has no time for each scan"), "{said}");
     let named =
         ["1566246592875153456.bin", "1566246592975153456.bin"].map(|name| (name.to_owned(), scan(50, 1)));
     bench.write_files("named", &named.into());

@@ -3,6 +3,8 @@
 #[cfg(unix)]
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+#[cfg(unix)]
+use std::sync::Arc;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The paths to remove when a signal ends the program.
@@ -52,8 +54,10 @@ impl Drop for RemoveOnSignal {
 /// From now on, SIGINT, SIGTERM and SIGHUP remove temporary paths before they end the program.
 #[cfg(unix)]
 pub fn on_signals() {
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 
+    // With a handler, of which nothing more is asked, a file beyond the limit of its size is an error.
+    let _ = signal_hook::flag::register(SIGXFSZ, Arc::default());
     // Without the handler the signals still end the program, only without cleaning up.
     let Ok(mut signals) = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP]) else { return };
     std::thread::spawn(move || {

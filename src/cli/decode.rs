@@ -17,12 +17,12 @@ use super::conversion::Converter;
 use super::errors::{about, say};
 use super::input::{Input, chosen_frames, is_dash, is_pipe, name_of, open, tell_files_left_out};
 use super::losses::{LossReport, Losses};
-use super::output::{FolderOutput, print_json};
+use super::output::{FolderOutput, FrameNames};
 use super::table;
 
 /// The machine-readable report.
 #[derive(Default, Serialize)]
-struct Report {
+pub struct Report {
     folder: String,
     frames: u64,
     /// Files beside the scans; their bytes are included in `file_bytes`.
@@ -43,7 +43,8 @@ impl Report {
     }
 }
 
-pub fn run(args: &DecodeArgs, console: Console) -> Result<()> {
+/// Decodes streams. The machine-readable report of what was decoded into a folder is added to `reports`.
+pub fn run(args: &DecodeArgs, reports: &mut Vec<Report>, console: Console) -> Result<()> {
     let [first, others @ ..] = &args.inputs[..] else { return Ok(()) };
     let chooses = args.frames.is_some() || args.time.is_some();
     let is_stdout = is_dash(args.output());
@@ -66,7 +67,7 @@ pub fn run(args: &DecodeArgs, console: Console) -> Result<()> {
     let converter = Converter::new(args.format);
     match is_stdout {
         true => to_stdout(args, first, &options, &converter, console),
-        false => to_folder(args, &options, &converter, console),
+        false => to_folder(args, &options, &converter, reports, console),
     }
 }
 
@@ -75,6 +76,7 @@ fn to_folder(
     args: &DecodeArgs,
     options: &DecodeOptions,
     converter: &Converter,
+    reports: &mut Vec<Report>,
     console: Console,
 ) -> Result<()> {
     let start = Instant::now();
@@ -114,11 +116,10 @@ fn to_folder(
     folder.finish()?;
     converter.tell_unconverted(console);
     report.seconds = start.elapsed().as_secs_f64();
-    if args.json {
-        print_json(&report)?;
-    } else {
+    if !args.json {
         console.say(report.summary());
     }
+    reports.push(report);
     // The caller prints the first error, after the others.
     let mut errors = errors.into_iter();
     let first = errors.next();
@@ -151,9 +152,16 @@ fn decode<T: Send>(
     if !args.keep_going {
         return input.decode(options, work, sink);
     }
+    let mut names = FrameNames::default();
     edit::recover(BufReader::new(input.rewindable()?), options, |part| match part {
         // Only now: whether a frame is lost with its group is known after the whole group is decoded.
-        Recovered::Frame(frame) => sink(work(*frame)?),
+        Recovered::Frame(frame) => match names.check(frame.number, &frame.header.name) {
+            Ok(()) => sink(work(*frame)?),
+            Err(fault) => {
+                losses.tell_frame(&fault);
+                Ok(())
+            }
+        },
         Recovered::Lost(lost) => {
             losses.tell(&lost);
             Ok(())

@@ -9,8 +9,8 @@ use anyhow::Result;
 
 use super::args::{DecodeArgs, EncodeArgs, check_usage, encoder_config, wrong_usage};
 use super::console::Console;
-use super::input::{check_stdin_once, is_dash, is_recording};
-use super::output::check_json;
+use super::input::{check_stdin_once, is_dash, is_named_as_recording, is_recording};
+use super::output::{check_json, print_json};
 use super::{decode, encode, messages, recording, tree};
 
 /// `encode`: messages, a recording, a tree of drives, or scans.
@@ -27,6 +27,9 @@ pub fn encode(args: &EncodeArgs, console: Console) -> Result<()> {
     }
     if !args.topic.is_empty() {
         wrong_usage("encode", "--topic chooses clouds of a recording; the input is none");
+    }
+    if is_named_as_recording(args.output()) {
+        wrong_usage("encode", "only a recording is encoded to a recording; give -o FILE.lpc");
     }
     if tree::is_folder(args.output()) && !args.inputs.iter().any(|input| is_dash(input)) {
         return tree::encode(args, &config, console);
@@ -92,22 +95,35 @@ pub fn decode(args: &DecodeArgs, console: Console) -> Result<()> {
     check_stdin_once("decode", &args.inputs);
     check_json("decode", args.json, args.output());
     if args.inputs.iter().any(|input| input.is_dir()) {
-        return tree::decode(args, |args| decode_streams(args, console));
+        let mut reports = Vec::new();
+        let decoded = tree::decode(args, |args| decode_streams(args, &mut reports, console));
+        if args.json {
+            print_json(&reports)?;
+        }
+        return decoded;
     }
     if args.inputs.iter().any(|input| is_recording(input)) {
         return recording::decode(args, console);
     }
-    decode_streams(args, console)
+    let mut reports = Vec::new();
+    let decoded = decode_streams(args, &mut reports, console);
+    if let Some(report) = reports.first().filter(|_| args.json) {
+        print_json(report)?;
+    }
+    decoded
 }
 
-/// Decodes streams, or messages.
-fn decode_streams(args: &DecodeArgs, console: Console) -> Result<()> {
+/// Decodes streams, or messages. The machine-readable reports on streams are added to `reports`.
+fn decode_streams(args: &DecodeArgs, reports: &mut Vec<decode::Report>, console: Console) -> Result<()> {
     if !args.topic.is_empty() {
         wrong_usage("decode", "--topic chooses clouds of a recording; the input is none");
     }
+    if is_named_as_recording(args.output()) {
+        wrong_usage("decode", "only a recording is decoded to a recording; give -o FOLDER");
+    }
     match args.messages {
         true => messages::decode(args, console),
-        false => decode::run(args, console),
+        false => decode::run(args, reports, console),
     }
 }
 

@@ -30,7 +30,7 @@ pub fn run(args: &EncodeArgs, mut config: EncoderConfig, console: Console) -> Re
     let done = encode_found(args, &config, &found, console)?;
     report(args, &config, &done, start, console)?;
     if args.rm {
-        found.delete(&args.inputs)?;
+        found.delete(&args.inputs, &done.encoded)?;
     }
     Ok(())
 }
@@ -42,17 +42,32 @@ fn encode_stdin(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> 
     let bar = console.bar(None, "encoding");
     let mut arriving = ArrivingFrames::new(io::stdin());
     let input = |ArrivedFile { name, bytes }| FrameInput::memory(name, bytes);
-    let frames = arriving.by_ref().map(|file| file.map(input));
+    // What arrived before a fault is kept.
+    let mut fault = None;
+    let frames = arriving.by_ref().map_while(|file| match file {
+        Ok(file) => Some(Ok(input(file))),
+        Err(error) => {
+            fault = Some(error);
+            None
+        }
+    });
     let encoded = output.write(|out| stream::encode_live(frames, config, out, &|| bar.inc(1)));
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &name))?;
     let left_out = arriving.left_out().clone();
     frames::check_left_out(&left_out, "stdin", args.strict, console)?;
+    if let Some(error) = fault.take_if(|_| encoded.frames.is_empty() || args.strict) {
+        return Err(about(error, "stdin"));
+    }
     if encoded.frames.is_empty() {
         ensure!(!args.strict, "stdin: held no frame; check what writes to it, or encode without --strict");
         console.say(format_args!("lidarpc: stdin: held no frame, and so does {name}"));
     }
     finish_output(args, output, &encoded, console)?;
+    if let Some(error) = fault {
+        let kept = table::count(encoded.frames.len() as u64, "frame");
+        return Err(about(error, "stdin").context(format!("{name}: ends early, after {kept}")));
+    }
     Ok(Done { encoded, left_out, was_complete: false })
 }
 

@@ -1,6 +1,7 @@
 //! The frames to encode, and warnings about unusual ones before they are encoded: users who archive a folder
 //! should know.
 
+use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -10,7 +11,7 @@ use crate::files::sequence::{FoundFile, LeftOut, find_all, find_frames};
 use crate::files::{EXTENSIONS, parse_like, starts_as_scan};
 use crate::frame::Prediction;
 use crate::frame::settings::{Coder, EncoderConfig, PredictionChoice, ProjectionKind};
-use crate::stream::{self, DecodeOptions, DecodedFrame, FrameInput};
+use crate::stream::{self, DecodeOptions, DecodedFrame, EncodeStatistics, FrameInput};
 use crate::study::metrics::{self, nearest_distances};
 use anyhow::{Result, bail, ensure};
 
@@ -44,20 +45,31 @@ impl InputFiles {
         inputs
     }
 
-    /// Deletes the files, and the folders that this leaves empty, up to these inputs.
+    /// Deletes the files, and the folders that this leaves empty, up to these inputs. A file that is no longer
+    /// what was `encoded` is kept.
     ///
     /// # Errors
-    /// If a file cannot be deleted.
-    pub fn delete(&self, inputs: &[PathBuf]) -> Result<()> {
-        for FoundFile { path, .. } in self.frames.iter().chain(&self.beside) {
+    /// If a file cannot be read or deleted, or if it was kept.
+    pub fn delete(&self, inputs: &[PathBuf], encoded: &EncodeStatistics) -> Result<()> {
+        let known = encoded.frames.iter().map(|frame| (&frame.name[..], (frame.file_size, frame.file_crc)));
+        let known: HashMap<&str, (u64, u32)> = known.collect();
+        let mut changed = None;
+        for FoundFile { path, name, .. } in self.frames.iter().chain(&self.beside) {
+            let at = |error: io::Error| about(error.into(), &path.display().to_string());
+            let bytes = if path.is_dir() { Vec::new() } else { fs::read(path).map_err(at)? };
+            if known.get(&name[..]) != Some(&(bytes.len() as u64, crc32c::crc32c(&bytes))) {
+                changed.get_or_insert(path);
+                continue;
+            }
             let deleted = if path.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
-            deleted.map_err(|error| about(error.into(), &path.display().to_string()))?;
+            deleted.map_err(at)?;
             let above = path.ancestors().skip(1);
             let above = above.take_while(|above| inputs.iter().any(|input| above.starts_with(input)));
             // Folders that are not empty remain.
             above.take_while(|above| fs::remove_dir(above).is_ok()).for_each(drop);
         }
-        Ok(())
+        let Some(changed) = changed else { return Ok(()) };
+        bail!("{}: changed after it was encoded, so it is kept; encode it again", changed.display())
     }
 }
 
@@ -100,6 +112,13 @@ pub fn find(args: &EncodeArgs, console: Console) -> Result<InputFiles> {
         }
     }
     check_left_out(&left_out, &name_of_inputs(&args.inputs), args.strict, console)?;
+    for list in &found.unmatched_lists {
+        let list = list.display().to_string().replace(char::is_control, "?");
+        console.say(format_args!(
+            "lidarpc: {list}: has no time for each scan of its folder, so its times are not stored; it needs a line \
+             a scan, each a date or a number of seconds"
+        ));
+    }
     Ok(InputFiles { frames: found.frames, beside: found.beside, left_out })
 }
 
@@ -156,9 +175,16 @@ pub fn settle_layout(
             ));
             config.headerless.get_or_insert(layout);
         }
-        Verdict::NoFloats => console.say(format_args!(
-            "lidarpc: {place}: .bin files do not look like float32 x, y, z, intensity; they come back exactly, but if \
-             --layout says what they hold, they may get smaller"
+        Verdict::NoFloats => {
+            let come_back = if config.is_exact() { "they come back exactly, but if" } else { "if" };
+            console.say(format_args!(
+                "lidarpc: {place}: .bin files do not look like float32 x, y, z, intensity; {come_back} --layout says \
+                 what they hold, they may get smaller"
+            ));
+        }
+        Verdict::OtherLength(bytes) => console.say(format_args!(
+            "lidarpc: {place}: .bin files are no whole number of records of {bytes} bytes, as --layout has them; \
+             give the right layout, or none"
         )),
     }
     Ok(())
@@ -268,4 +294,27 @@ fn loss_of_paper_mode(frame: &FrameInput, config: &EncoderConfig) -> Option<Stri
             table::percent(Some(dropped)),
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::container::FrameHeader;
+
+    #[test]
+    fn a_file_that_changed_after_it_was_encoded_is_not_deleted() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut files, mut encoded) = (InputFiles::default(), EncodeStatistics::default());
+        for name in ["1.bin", "2.bin", "3.bin"] {
+            let path = folder.path().join(name);
+            fs::write(&path, name).unwrap();
+            files.frames.push(FoundFile { path, name: name.to_owned(), ..FoundFile::default() });
+            encoded.frames.push(FrameHeader::of(name, name.as_bytes(), 0));
+        }
+        fs::write(folder.path().join("2.bin"), "4.bin").unwrap();
+        let refused = files.delete(&[folder.path().to_path_buf()], &encoded).unwrap_err().to_string();
+        assert!(refused.contains("2.bin: changed after it was encoded"), "{refused}");
+        let left = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
+        assert_eq!(left.collect::<Vec<_>>(), ["2.bin"]);
+    }
 }

@@ -1,7 +1,7 @@
 //! Inputs: what kind they are of, streams to read from a file or from stdin, and the scans to compare them
 //! with.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
@@ -155,6 +155,8 @@ pub fn name_of(path: &Path) -> String {
 /// The original scans that a stream is compared with, by name.
 pub struct Originals {
     files: HashMap<String, PathBuf>,
+    /// Those that no stream had so far.
+    left: BTreeSet<PathBuf>,
     /// The folder that contains them.
     folder: PathBuf,
 }
@@ -165,8 +167,10 @@ impl Originals {
     /// # Errors
     /// As [`find_frames`].
     pub fn find(inputs: &[PathBuf]) -> Result<Self> {
-        let files = find_frames(inputs)?.frames.into_iter().map(|file| (file.name, file.path)).collect();
-        Ok(Originals { files, folder: inputs.first().cloned().unwrap_or_default() })
+        let files = find_frames(inputs)?.frames.into_iter().map(|file| (file.name, file.path));
+        let files: HashMap<String, PathBuf> = files.collect();
+        let left = files.values().cloned().collect();
+        Ok(Originals { files, left, folder: inputs.first().cloned().unwrap_or_default() })
     }
 
     /// Reads the scan with this name, or the file with this name according to `encode --all`, and marks it as
@@ -175,10 +179,11 @@ impl Originals {
     /// # Errors
     /// If there is no such scan, or if it cannot be read.
     pub fn take(&mut self, name: &str) -> Result<Vec<u8>> {
-        let path = self.files.remove(name).or_else(|| self.below(name)).ok_or_else(|| {
+        let path = self.files.get(name).cloned().or_else(|| self.below(name)).ok_or_else(|| {
             let what = format!("holds no scan named {name:?}, which the stream does");
             Error::Input { path: self.folder.clone(), what }
         })?;
+        self.left.remove(&path);
         if name.ends_with('/') {
             return Ok(Vec::new());
         }
@@ -186,16 +191,14 @@ impl Originals {
     }
 
     /// The file with this path below the folder, if there is one.
-    fn below(&mut self, name: &str) -> Option<PathBuf> {
+    fn below(&self, name: &str) -> Option<PathBuf> {
         let is_safe = is_safe_path(name.strip_suffix('/').unwrap_or(name));
-        let path = is_safe.then(|| self.folder.join(name)).filter(|path| path.exists())?;
-        self.files.retain(|_, other| *other != path);
-        Some(path)
+        is_safe.then(|| self.folder.join(name)).filter(|path| path.exists())
     }
 
     /// A scan that was never read, if there is one.
     pub fn left_over(&self) -> Option<&Path> {
-        self.files.values().min().map(PathBuf::as_path)
+        self.left.first().map(PathBuf::as_path)
     }
 }
 

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::container::Lost;
+use crate::ground::error::Error;
 use crate::stream::FrameRange;
 use anyhow::Result;
 use serde::Serialize;
@@ -82,6 +83,13 @@ impl Losses {
         eprintln!("lidarpc: {}", format!("{line}: {}", lost.why).replace(char::is_control, "?"));
     }
 
+    /// Reports the loss of a frame that is intact, but cannot be written.
+    pub fn tell_frame(&mut self, why: &Error) {
+        self.places += 1;
+        self.frames += 1;
+        eprintln!("lidarpc: {}: {}", self.input, why.to_string().replace(char::is_control, "?"));
+    }
+
     /// The machine-readable report; `None` if nothing was lost.
     pub fn report(&self) -> Option<LossReport> {
         let &Losses { places, frames, maybe_more, .. } = self;
@@ -96,8 +104,12 @@ impl Losses {
         if self.places == 0 {
             return Ok(());
         }
-        let more = if self.maybe_more { " and perhaps more" } else { "" };
-        let (recovered, lost) = (table::count(recovered, "frame"), table::count(self.frames, "frame"));
-        Err(NotWhole(format!("{}: damaged; {recovered} saved, {lost}{more} lost", self.input)).into())
+        let lost = match (self.frames, self.maybe_more) {
+            (0, true) => "an unknown number".to_owned(),
+            (frames, true) => format!("{} and perhaps more", table::count(frames, "frame")),
+            (frames, false) => table::count(frames, "frame"),
+        };
+        let recovered = table::count(recovered, "frame");
+        Err(NotWhole(format!("{}: damaged; {recovered} saved, {lost} lost", self.input)).into())
     }
 }

@@ -1,7 +1,7 @@
 //! Output that exists only when complete: it is written under a temporary name in the same folder, then
 //! renamed.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -137,6 +137,31 @@ pub fn print_json(report: &impl Serialize) -> anyhow::Result<()> {
     serde_json::to_writer_pretty(&mut out, report).map_err(io::Error::from)?;
     writeln!(out)?;
     Ok(out.flush()?)
+}
+
+/// The names of a stream's frames, which are those of the files to which it is decoded.
+#[derive(Default)]
+pub struct FrameNames(HashSet<String>);
+
+impl FrameNames {
+    /// Adds the name of a frame.
+    ///
+    /// # Errors
+    /// If no file can have it: it is not a [safe path](is_safe_path), or another frame has it.
+    pub fn check(&mut self, number: u64, name: &str) -> Result<()> {
+        // Frames of messages and of points in memory have no names.
+        let fault = if name.is_empty() {
+            return Ok(());
+        } else if !is_safe_path(name.strip_suffix('/').unwrap_or(name)) {
+            "which is not safe for a file"
+        } else if !self.0.insert(name.to_owned()) {
+            "which another frame has"
+        } else {
+            return Ok(());
+        };
+        let advice = "`decode --keep-going` leaves it out";
+        Err(Error::Usage(format!("frame {number} has the name {name:?}, {fault}; {advice}")))
+    }
 }
 
 /// The file to which the path [leads](through_link), whether it exists or not. `None` if it cannot be

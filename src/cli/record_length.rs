@@ -39,6 +39,8 @@ pub enum Verdict {
     Rather(HeaderlessLayout),
     /// The bytes are not float32 coordinates, whatever the record length.
     NoFloats,
+    /// The files are no whole number of records of this many bytes, which the layout demands.
+    OtherLength(u64),
 }
 
 /// Compares headerless files with the layout; `None`: the default for their kind.
@@ -74,9 +76,11 @@ pub fn examine(samples: &[Sample], layout: Option<&HeaderlessLayout>) -> Verdict
             match floats(&kitti, stride, 0) {
                 Some(found) => Verdict::Rather(found),
                 None if layout.is_none() => Verdict::NoFloats,
+                None if !fits(assumed) => Verdict::OtherLength(assumed as u64),
                 None => Verdict::Agrees,
             }
         }
+        _ if layout.is_some() && !fits(assumed) => Verdict::OtherLength(assumed as u64),
         _ if layout.is_none() && floats(&kitti, assumed, 0).is_none() => Verdict::NoFloats,
         _ => Verdict::Agrees,
     }
@@ -130,20 +134,25 @@ fn are_several(samples: &[&Sample], stride: usize) -> bool {
         .any(|words| (0..3).all(|at| are_alike(at, words)))
 }
 
-/// Whether the first value of each record hardly ever falls, if records have `stride` bytes and room for
-/// coordinates behind it.
+/// Whether the first value of each record is a time: it hardly ever falls, if records have `stride` bytes and
+/// room for coordinates behind it. In four values, these may be x of sorted points and their intensity, which
+/// is never negative, unlike z.
 fn rises(samples: &[&Sample], stride: usize) -> bool {
     /// At most one value in this number is smaller than the one before.
     const RARE: usize = 20;
-    let values = |sample: &&Sample| {
+    let values = |sample: &Sample, at: usize| {
         let records = sample.start.chunks_exact(stride);
-        records.map(|record| f32_at(record, 0)).collect::<Vec<f32>>()
+        records.map(|record| f32_at(record, at)).collect::<Vec<f32>>()
     };
-    stride > 3 * WORD
-        && samples.iter().map(values).all(|values| {
-            let falls = values.windows(2).filter(|pair| pair[1] < pair[0] || pair[1].is_nan()).count();
-            falls * RARE < values.len()
-        })
+    let has_intensity = |sample: &&Sample| {
+        stride == 4 * WORD && values(sample, 3).iter().all(|value| (0.0..=65535.0).contains(value))
+    };
+    let rises = |sample: &&Sample| {
+        let values = values(sample, 0);
+        let falls = values.windows(2).filter(|pair| pair[1] < pair[0] || pair[1].is_nan()).count();
+        falls * RARE < values.len()
+    };
+    stride > 3 * WORD && samples.iter().all(rises) && !samples.iter().all(has_intensity)
 }
 
 fn f32_at(record: &[u8], at: usize) -> f32 {
@@ -239,6 +248,16 @@ mod tests {
     }
 
     #[test]
+    fn sorted_points_are_no_times() {
+        let mut sorted = file(4);
+        let mut records: Vec<[u8; 16]> = sorted.start.as_chunks().0.to_vec();
+        records.sort_by(|a, b| f32_at(a, 0).total_cmp(&f32_at(b, 0)));
+        sorted.start = records.concat();
+        sorted.size = sorted.start.len() as u64;
+        assert_eq!(examine(&[sorted], None), Verdict::Agrees);
+    }
+
+    #[test]
     fn other_bytes_are_no_floats() {
         let mut noise = file(4);
         noise
@@ -247,6 +266,8 @@ mod tests {
             .enumerate()
             .for_each(|(n, byte)| *byte = (n as u32).wrapping_mul(2_654_435_761).to_le_bytes()[3]);
         assert_eq!(examine(&[noise.clone()], None), Verdict::NoFloats);
+        let whole = "x:u16,y:u16,z:u16,i:u8,r:u8,_:u8*3".parse().unwrap();
+        assert_eq!(examine(&[noise.clone()], Some(&whole)), Verdict::OtherLength(11));
         // A layout given by the user is trusted.
         assert_eq!(examine(&[noise], Some(&"x:u16,y:u16,z:u16,i:u8,r:u8".parse().unwrap())), Verdict::Agrees);
     }

@@ -91,8 +91,8 @@ impl Report {
     fn summary(&self, config: Option<&EncoderConfig>) -> String {
         let (before, after) = (self.cloud_bytes_before, self.cloud_bytes_after);
         let sizes = match before {
-            0 => "none".to_owned(),
-            _ if after >= before => table::bytes(after),
+            0 if after == 0 => "no bytes".to_owned(),
+            _ if before == 0 || after >= before => table::bytes(after),
             _ => self.savings(),
         };
         let kept = match self.kept {

@@ -23,7 +23,7 @@ use super::console::Console;
 use super::encoding::{Done, encode_found};
 use super::errors::{NotWhole, say};
 use super::frames::{self, InputFiles};
-use super::input::is_pipe;
+use super::input::{is_dash, is_pipe};
 use super::output::{create_folders, parent, print_json};
 use super::report::{LeftOutReport, StreamReport, summary};
 use super::table;
@@ -225,7 +225,7 @@ fn encode_drive(
     frames::settle(&drive.found.frames, &mut config, &place, console)?;
     let Done { encoded, was_complete, .. } = encode_found(args, &config, &drive.found, Console::SILENT)?;
     if args.rm {
-        drive.found.delete(&args.inputs)?;
+        drive.found.delete(&args.inputs, &encoded)?;
     }
     let seconds = start.elapsed().as_secs_f64();
     let mut stream = StreamReport::of(args, &config, &encoded, &drive.found.left_out, seconds);
@@ -234,10 +234,13 @@ fn encode_drive(
 }
 
 /// `decode` for a folder of streams: `decode_stream` decodes each into a folder with its path and name.
-pub fn decode(args: &DecodeArgs, decode_stream: impl Fn(&DecodeArgs) -> Result<()>) -> Result<()> {
+pub fn decode(args: &DecodeArgs, mut decode_stream: impl FnMut(&DecodeArgs) -> Result<()>) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("decode", "a folder of streams is decoded by itself");
     };
+    if is_dash(args.output()) {
+        wrong_usage("decode", "stdout takes one frame, and so a single file; give -o FOLDER");
+    }
     let streams = streams_below(input)?;
     let (mut failed, mut not_whole) = (0, 0);
     for stream in &streams {

@@ -15,7 +15,7 @@ use super::args::{VerifyArgs, wrong_usage};
 use super::console::Console;
 use super::errors::{about, line};
 use super::input::{Originals, for_each_file, is_recording, name_of, open};
-use super::output::print_json;
+use super::output::{FrameNames, print_json};
 use super::{recording, table};
 
 /// The machine-readable report.
@@ -117,9 +117,11 @@ fn verify(
     let bar = console.bar(input.frame_count(options.limits), "verifying");
     // Compared on the thread that decoded the frame, so that no frame waits in memory for those before it.
     let compared = originals.as_mut().map(Mutex::new);
+    let names = Mutex::new(FrameNames::default());
     let check = |frame: DecodedFrame| {
         let DecodedFrame { number, header: FrameHeader { name, file_size, stamp, .. }, .. } = &frame;
         let counted = (*file_size, stamp.kind == FrameKind::Beside);
+        names.lock().unwrap_or_else(PoisonError::into_inner).check(*number, name)?;
         let Some(originals) = &compared else { return frame.write(|_| Ok(())).map(|()| counted) };
         let original = originals.lock().unwrap_or_else(PoisonError::into_inner).take(name)?;
         if original != frame.to_bytes()? {

@@ -23,6 +23,8 @@ pub struct Sequence {
     pub beside: Vec<FoundFile>,
     /// The contents of the given folders that are not stored, by kind and path.
     pub left_out: Vec<(LeftOutKind, PathBuf)>,
+    /// Lists of times that do not match the scans of their folders.
+    pub unmatched_lists: Vec<PathBuf>,
 }
 
 /// A file, and its name in a stream.
@@ -51,6 +53,7 @@ impl Sequence {
         self.frames.extend(other.frames);
         self.beside.extend(other.beside);
         self.left_out.extend(other.left_out);
+        self.unmatched_lists.extend(other.unmatched_lists);
     }
 }
 
@@ -319,7 +322,8 @@ impl Tree {
             }
             let drive = if has_paths { drive_of(&name_below(input, &folder)?) } else { String::new() };
             let times = times::of_folder(&folder, &scans);
-            for ((path, name), time) in scans.into_iter().zip(names).zip(times) {
+            found.unmatched_lists.extend(times.unmatched);
+            for ((path, name), time) in scans.into_iter().zip(names).zip(times.of_scans) {
                 found.frames.push(FoundFile { path, name, drive: drive.clone(), time });
             }
         }

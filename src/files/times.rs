@@ -20,24 +20,40 @@ const LISTS: [&str; 2] = ["timestamps.txt", "times.txt"];
 /// The largest list that is read, in bytes: a million lines and more.
 const LIST_BYTES: u64 = 64 << 20;
 
+/// The times of the scans of a folder.
+#[derive(Debug, Default)]
+pub struct FolderTimes {
+    /// The time of each scan, if it is known.
+    pub of_scans: Vec<Option<ScanTime>>,
+    /// A list that does not match the scans, if none does.
+    pub unmatched: Option<PathBuf>,
+}
+
 /// The times of the scans of a folder: from a list, which has a line for each; otherwise from their names.
 ///
 /// If the names are numbers below the number of lines, each scan has the line with its number, the first
 /// being 0: KITTI's drives lack scans that their lists have. Otherwise there must be exactly one line for
 /// each scan, in order.
-pub fn of_folder(folder: &Path, scans: &[PathBuf]) -> Vec<Option<ScanTime>> {
+pub fn of_folder(folder: &Path, scans: &[PathBuf]) -> FolderTimes {
     let names: Vec<_> =
         scans.iter().map(|scan| scan.file_name().unwrap_or_default().to_string_lossy()).collect();
     let lists = LISTS.iter().flat_map(|name| {
         let beside = folder.parent().map(|above| above.join(name));
         beside.into_iter().chain([folder.join(name)])
     });
-    let mut listed = lists.filter_map(|path| {
-        let list = read(&path)?;
-        let at = |place: usize| ScanTime { nanoseconds: list[place], is_listed: true };
-        Some(places(&names, list.len())?.into_iter().map(|place| Some(at(place))).collect())
-    });
-    listed.next().unwrap_or_else(|| names.iter().map(|name| of_name(name)).collect())
+    let mut unmatched = None;
+    for path in lists.filter(|path| path.is_file()) {
+        let list = read(&path).unwrap_or_default();
+        if let Some(places) = places(&names, list.len()) {
+            let at = |place: usize| ScanTime { nanoseconds: list[place], is_listed: true };
+            return FolderTimes {
+                of_scans: places.into_iter().map(|p| Some(at(p))).collect(),
+                unmatched: None,
+            };
+        }
+        unmatched.get_or_insert(path);
+    }
+    FolderTimes { of_scans: names.iter().map(|name| of_name(name)).collect(), unmatched }
 }
 
 /// The line number of each scan in a list of `lines` lines; none if the list does not match the scans.
