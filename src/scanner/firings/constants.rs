@@ -6,8 +6,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
+use super::arithmetic::whole_steps;
 use super::blur::Blur;
-use super::recipe::{SumPrecision, whole_steps};
+use super::recipe::SumPrecision;
 use super::{ANGLE_UNIT, Build, Firings, Laser, Mounting, Origin, Recipe};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::Return;

@@ -15,6 +15,7 @@
 //! computed. The beams of some scanners start away from the axis ([`Origin`]), most in the direction of the
 //! tick, not of the beam.
 
+mod arithmetic;
 mod blocks;
 mod blur;
 mod columns;
@@ -52,7 +53,7 @@ use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::hdl64::{BeamConstants, Hdl64};
 use crate::scanner::{CoordinateGrid, RangeImage, Return, median};
-use recipe::{Arithmetic, MOST_LOCATED, TurnTable};
+use arithmetic::{Arithmetic, MOST_LOCATED, TurnTable};
 use timing::{BlockTimes, Span};
 
 /// Degrees per unit of a laser's constants.

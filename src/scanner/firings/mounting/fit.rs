@@ -17,6 +17,7 @@ use super::pose::{self, Pose};
 use super::{Mounting, TransformOrder};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{PointCloud, ScanFile, channel_of_lasers, fullest};
+use crate::scanner::firings::arithmetic::whole_steps;
 use crate::scanner::firings::blur::Blur;
 use crate::scanner::firings::constants::{Moved, MovedBy, Point, TRIED, by_rows};
 use crate::scanner::firings::fit::{
@@ -25,7 +26,7 @@ use crate::scanner::firings::fit::{
 use crate::scanner::firings::off_axis::known_start;
 use crate::scanner::firings::order::{FiringOrder, lines, order, vlp_16};
 use crate::scanner::firings::projection::{Sight, nearest};
-use crate::scanner::firings::recipe::{Axes, whole_steps};
+use crate::scanner::firings::recipe::Axes;
 use crate::scanner::firings::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, THOUSANDTH, Timing};
 use crate::scanner::{CoordinateGrid, Return, median, thinned};
 

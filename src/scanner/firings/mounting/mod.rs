@@ -17,8 +17,8 @@ mod pose;
 
 pub use fit::fit;
 
+use super::arithmetic::{TURNED_ERROR, sure};
 use super::projection::Sight;
-use super::recipe::{TURNED_ERROR, sure};
 use super::{Build, Firings};
 use crate::scanner::REACH;
 
