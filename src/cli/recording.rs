@@ -59,7 +59,6 @@ impl Report {
         encoded: Option<(&EncoderConfig, bool)>,
         start: Instant,
     ) -> Self {
-        let [cloud_bytes_before, cloud_bytes_after] = copied.cloud_bytes;
         Report {
             file: output.display().to_string(),
             fidelity: encoded.map(|(config, _)| FidelityReport::of(config)),
@@ -68,8 +67,8 @@ impl Report {
             points: copied.points,
             kept: copied.kept,
             attachments: copied.attachments,
-            cloud_bytes_before,
-            cloud_bytes_after,
+            cloud_bytes_before: copied.cloud_bytes_before,
+            cloud_bytes_after: copied.cloud_bytes_after,
             damage: copied.damage.clone(),
             left_out,
             verified: encoded.is_some_and(|(_, verified)| verified),
@@ -229,7 +228,8 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, consol
         messages: encoded.frames.len() as u64,
         clouds: encoded.frames.len() as u64,
         points: encoded.points,
-        cloud_bytes: [encoded.file_bytes(), encoded.stream_bytes],
+        cloud_bytes_before: encoded.file_bytes(),
+        cloud_bytes_after: encoded.stream_bytes,
         damage: clouds.damage(),
         ..CopySummary::default()
     };
@@ -302,7 +302,7 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, console: Console) -> Result<(C
         copied.messages += 1;
         copied.clouds += 1;
         copied.points += scan.records as u64;
-        copied.cloud_bytes[1] += bytes;
+        copied.cloud_bytes_after += bytes;
         bar.inc(1);
     }
     bar.finish_and_clear();

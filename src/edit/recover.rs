@@ -118,7 +118,7 @@ struct RecoveredGroups<R> {
 impl<R: Read + Seek> RecoveredGroups<R> {
     fn open(input: R, limits: &Limits, range: FrameRange) -> Result<Self> {
         let reader = SalvageReader::open(input, *limits).map_err(|error| match error {
-            Error::Corrupt { what, .. } => Error::Usage(format!("{what}; nothing of it can be saved")),
+            Error::Corrupt { what, .. } => Error::DamagedInput(format!("{what}; nothing of it can be saved")),
             other => other,
         })?;
         let (scanners, known) = (UsedScanners::default(), HashSet::new());

@@ -67,6 +67,10 @@ pub enum Error {
     /// The settings contradict each other or are out of range.
     #[error("{0}")]
     InvalidSettings(String),
+    /// An input other than a stream, such as a recording, is damaged or not of its kind; or nothing is left of
+    /// a damaged stream.
+    #[error("{0}")]
+    DamagedInput(String),
     /// What was requested does not exist or cannot be done.
     #[error("{0}")]
     Usage(String),

@@ -122,6 +122,7 @@ pub(super) fn damaged_cloud(header: &MessageHeader, error: &Error) -> String {
 
 /// The contents of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Contents {
     /// Its channels, in the order of their first records.
     pub topics: Vec<Topic>,
@@ -133,6 +134,7 @@ pub struct Contents {
 
 /// A channel of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Topic {
     /// Its topic.
     pub name: String,

@@ -26,6 +26,7 @@ const CHANNEL_KEY: &str = "lidarpc.channel";
 
 /// Numbers of what was copied.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct CopySummary {
     /// All messages.
     pub messages: u64,
@@ -33,8 +34,10 @@ pub struct CopySummary {
     pub clouds: u64,
     /// Messages in topics of clouds that lidarpc could not parse as clouds and copied unchanged.
     pub kept: u64,
-    /// Bytes of the messages of compressed or decoded clouds, before and after.
-    pub cloud_bytes: [u64; 2],
+    /// Bytes of the messages of compressed or decoded clouds, before that.
+    pub cloud_bytes_before: u64,
+    /// Bytes of the same messages after it.
+    pub cloud_bytes_after: u64,
     /// Points of the clouds.
     pub points: u64,
     /// Attachments and metadata records.
@@ -151,8 +154,8 @@ fn copy<W: Write + Seek>(
         if let Some((points, [before, after])) = done.cloud {
             copied.clouds += 1;
             copied.points += points;
-            copied.cloud_bytes[0] += before;
-            copied.cloud_bytes[1] += after;
+            copied.cloud_bytes_before += before;
+            copied.cloud_bytes_after += after;
         }
         copied.kept += u64::from(done.is_kept);
         if let Some(fault) = done.fault {

@@ -88,7 +88,7 @@ impl<R: Read> Records<R> {
             return Err(failed(McapError::BadMagic));
         }
         let Record::Header(header) = parsed(&read_record(&mut file)?)? else {
-            return Err(Error::Usage("no MCAP recording, as it begins without a header".to_owned()));
+            return Err(Error::DamagedInput("no MCAP recording, as it begins without a header".to_owned()));
         };
         let (schemas, channels) = (HashMap::new(), HashMap::new());
         let faults = Faults::default();
@@ -151,7 +151,9 @@ impl<R: Read> Records<R> {
                 }
                 op::STATISTICS => self.check_count(&record)?,
                 op::MESSAGE | op::CHUNK | op::ATTACHMENT | op::METADATA | FIRST_PRIVATE.. => {
-                    return Err(Error::Usage("records after the end of its data are left out".to_owned()));
+                    return Err(Error::DamagedInput(
+                        "records after the end of its data are left out".to_owned(),
+                    ));
                 }
                 _ => {}
             }
@@ -159,7 +161,7 @@ impl<R: Read> Records<R> {
         let mut magic = [0; mcap::MAGIC.len()];
         read_whole(&mut self.file, &mut magic)?;
         if magic != mcap::MAGIC || self.file.read(&mut [0])? > 0 {
-            return Err(Error::Usage("bytes after its end are left out".to_owned()));
+            return Err(Error::DamagedInput("bytes after its end are left out".to_owned()));
         }
         Ok(())
     }
@@ -292,7 +294,7 @@ impl Chunk {
                 let records = &records[..records.len().min(saturated(length))];
                 let (saved, calculated) = (number(CHECKSUM) as u32, crc32fast::hash(records));
                 let fault = match is_whole {
-                    false => Some(Error::Usage("the length of a chunk is wrong".to_owned())),
+                    false => Some(Error::DamagedInput("the length of a chunk is wrong".to_owned())),
                     true if [0, calculated].contains(&saved) => None,
                     true => Some(failed(McapError::BadChunkCrc { saved, calculated })),
                 };
@@ -317,7 +319,7 @@ impl Chunk {
                 }
                 Ok(LinearReadEvent::Record { opcode: op::CHUNK | op::DATA_END, .. }) => {
                     let fault = "a chunk or the end of the data within a chunk";
-                    return Some(Err(Error::Usage(fault.to_owned())));
+                    return Some(Err(Error::DamagedInput(fault.to_owned())));
                 }
                 Ok(LinearReadEvent::Record { opcode, data }) => {
                     return Some(parsed(&RawRecord::of(opcode, data.to_vec())));
@@ -425,7 +427,7 @@ fn check_lengths(record: &RawRecord) -> Result<()> {
         _ => &[],
     };
     let too_short =
-        || Error::Usage(format!("a field of a record of kind {opcode} is longer than the record"));
+        || Error::DamagedInput(format!("a field of a record of kind {opcode} is longer than the record"));
     let mut rest = &contents[..];
     for field in fields {
         let length = match field {
@@ -468,7 +470,7 @@ fn read_whole(input: &mut impl Read, bytes: &mut [u8]) -> Result<()> {
 fn failed(error: McapError) -> Error {
     match error {
         McapError::Io(error) => error.into(),
-        other => Error::Usage(other.to_string()),
+        other => Error::DamagedInput(other.to_string()),
     }
 }
 
