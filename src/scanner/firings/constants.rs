@@ -168,79 +168,118 @@ pub(super) struct LaserFit {
     pub are_turned: bool,
 }
 
+/// What a recipe reproduces of a few rows.
+#[derive(Clone)]
+struct TriedRecipe<'r> {
+    /// Its scanner without lasers.
+    bare: &'r Firings,
+    /// The whole ticks by which all offsets are wrong.
+    common: i32,
+    /// Number of points.
+    exact: usize,
+}
+
+impl TriedRecipe<'_> {
+    /// Whether the recipe adds angles.
+    fn adds(&self) -> bool {
+        self.bare.build.recipe.sum().is_some()
+    }
+}
+
 impl Constants<'_> {
     /// The recipe that reproduces the most points to the last bit (the first one on ties), and the lasers.
     /// `shifts` are the whole ticks by which each laser is ahead of the others.
     pub fn determine(&self, build: &Build, shifts: &[f64]) -> Option<LaserFit> {
-        /// Number of lasers by which the recipe is chosen.
-        const FEW: usize = 6;
-        let tick = 360.0 / f64::from(build.ticks);
-        let ahead = self.phases.iter().zip(shifts).map(|(phase, shift)| (phase + shift) * tick);
-        let ahead: Vec<f64> = ahead.collect();
-        let mean = ahead.iter().sum::<f64>() / ahead.len().max(1) as f64;
-        let middle = round_ties_even(-mean / tick) * tick;
-        let offsets: Vec<f64> = ahead.into_iter().map(|offset| offset + middle).collect();
+        let offsets = self.offsets_around_zero(build.ticks, shifts);
         if Blur::of(build.coordinates).is_any() {
             return Some(self.of_rounded(build, &offsets));
         }
-        let mut few: Vec<usize> = (0..self.elevations.len()).collect();
-        few.sort_by_key(|&row| std::cmp::Reverse(self.of_rows[row].len()));
-        few.truncate((few.len() / 2).max(FEW));
-        let few: Vec<usize> = few.iter().step_by((few.len() / FEW).max(1)).copied().collect();
+        let few = self.few_rows();
         let points: usize = few.iter().map(|&row| self.of_rows[row].len()).sum();
         let is_on_axis = build.origin == Origin::default();
-        let recipes = Recipe::ALL.into_par_iter().filter(|recipe| match is_on_axis {
+        let recipes = Recipe::ALL.into_iter().filter(|recipe| match is_on_axis {
             true => recipe.may_start_in_one_point(),
             false => recipe.starts_in_beam(),
         });
         let known = recipes.map(|recipe| Firings::without_lasers(Build { recipe, ..build.clone() }));
-        let adds = |bare: &Firings| bare.build.recipe.sum().is_some();
-        // A recipe that reproduces fewer points than another need not be counted to the end, and one after
-        // the first that reproduces all of them need not be tried, but for those that are compared below.
-        let (most, first_perfect) = (AtomicUsize::new(0), AtomicUsize::new(usize::MAX));
-        let tried = known.clone().filter_map(|bare| {
-            let number = bare.build.recipe as usize;
-            if number > first_perfect.load(Ordering::Relaxed) && !adds(&bare) {
-                return None;
-            }
-            let (common, exact) = self.common(&bare, &offsets, &few, most.load(Ordering::Relaxed));
-            most.fetch_max(exact, Ordering::Relaxed);
-            if exact == points {
-                first_perfect.fetch_min(number, Ordering::Relaxed);
-            }
-            Some((bare, common, exact))
+        let known: Vec<Firings> = known.collect();
+        let tried = self.tried(&known, &offsets, &few, points);
+        let best = first_of_equals(tried.clone(), |tried| tried.exact)?;
+        let turned = (4 * best.exact < 3 * points).then(|| {
+            let exact = |bare: &Firings| self.exact_turned(bare, &offsets, &few);
+            let tried = known.par_iter().map(|bare| TriedRecipe { bare, common: 0, exact: exact(bare) });
+            first_of_equals(tried.collect(), |tried| tried.exact)
         });
-        let tried: Vec<(Firings, i32, usize)> = tried.collect();
-        let best = first_of_equals(tried.clone(), |(.., exact)| *exact)?;
-        let turned = (4 * best.2 < 3 * points).then(|| {
-            let tried = known.map(|bare| {
-                let exact = self.exact_turned(&bare, &offsets, &few);
-                (bare, 0, exact)
-            });
-            first_of_equals(tried.collect(), |(.., exact)| *exact)
-        });
-        let turned = turned.flatten().filter(|(.., exact)| 4 * exact >= 3 * points);
+        let turned = turned.flatten().filter(|turned| 4 * turned.exact >= 3 * points);
         let are_turned = turned.is_some();
         let rivals = match turned {
             Some(turned) => vec![turned],
             // Recipes that add angles differ so little that several may reproduce all of these points.
-            None if adds(&best.0) => {
-                tried.into_iter().filter(|(bare, _, exact)| adds(bare) && *exact == best.2).collect()
+            None if best.adds() => {
+                tried.into_iter().filter(|tried| tried.adds() && tried.exact == best.exact).collect()
             }
             None => vec![best],
         };
-        let fits = rivals.into_iter().map(|(bare, common, exact)| {
+        let tick = 360.0 / f64::from(build.ticks);
+        let fits = rivals.into_iter().map(|TriedRecipe { bare, common, exact }| {
             let may_turn = bare.build.recipe.adds_in_single() && 2 * exact > points;
-            let of_row = |row| self.laser_of(&bare, row, offsets[row] + f64::from(common) * tick, may_turn);
+            let of_row = |row| self.laser_of(bare, row, offsets[row] + f64::from(common) * tick, may_turn);
             let lasers: Vec<Laser> = (0..self.elevations.len()).into_par_iter().map(of_row).collect();
             (bare, lasers)
         });
-        let fits: Vec<(Firings, Vec<Laser>)> = fits.collect();
+        let fits: Vec<(&Firings, Vec<Laser>)> = fits.collect();
         let (bare, lasers) = match fits.len() {
             1 => fits.into_iter().next()?,
             _ => first_of_equals(fits, |(bare, lasers)| self.worth(bare, lasers))?,
         };
         Some(LaserFit { recipe: bare.build.recipe, lasers, are_turned })
+    }
+
+    /// The azimuth offsets in degrees, given the whole ticks by which each laser is ahead of the others, such
+    /// that their mean is within half a tick of 0.
+    fn offsets_around_zero(&self, ticks: u32, shifts: &[f64]) -> Vec<f64> {
+        let tick = 360.0 / f64::from(ticks);
+        let ahead = self.phases.iter().zip(shifts).map(|(phase, shift)| (phase + shift) * tick);
+        let ahead: Vec<f64> = ahead.collect();
+        let mean = ahead.iter().sum::<f64>() / ahead.len().max(1) as f64;
+        let middle = round_ties_even(-mean / tick) * tick;
+        ahead.into_iter().map(|offset| offset + middle).collect()
+    }
+
+    /// Some of the rows with the most points: the recipe is chosen by them.
+    fn few_rows(&self) -> Vec<usize> {
+        /// Number of rows, if there are as many.
+        const FEW: usize = 6;
+        let mut rows: Vec<usize> = (0..self.elevations.len()).collect();
+        rows.sort_by_key(|&row| std::cmp::Reverse(self.of_rows[row].len()));
+        rows.truncate((rows.len() / 2).max(FEW));
+        rows.iter().step_by((rows.len() / FEW).max(1)).copied().collect()
+    }
+
+    /// Tries recipes on all `points` of these rows. One that reproduces fewer than another need not be counted
+    /// to the end, and one after the first that reproduces all of them need not be tried, unless it adds
+    /// angles.
+    fn tried<'r>(
+        &self,
+        known: &'r [Firings],
+        offsets: &[f64],
+        few: &[usize],
+        points: usize,
+    ) -> Vec<TriedRecipe<'r>> {
+        let (most, first_perfect) = (AtomicUsize::new(0), AtomicUsize::new(usize::MAX));
+        let tried = known.par_iter().enumerate().filter_map(|(number, bare)| {
+            let is_needless = number > first_perfect.load(Ordering::Relaxed);
+            if is_needless && bare.build.recipe.sum().is_none() {
+                return None;
+            }
+            let (common, exact) = self.common(bare, offsets, few, most.load(Ordering::Relaxed));
+            most.fetch_max(exact, Ordering::Relaxed);
+            if exact == points {
+                first_perfect.fetch_min(number, Ordering::Relaxed);
+            }
+            Some(TriedRecipe { bare, common, exact })
+        });
+        tried.collect()
     }
 
     /// What lasers are worth: the number of points that they reproduce to the last bit, in hundredths; more
