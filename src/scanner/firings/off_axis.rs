@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::blur::Blur;
 use super::constants::{Point, TRIED, best_of, exact_points};
 use super::fit::{ON_CONE, ScanFacts, elevations, fewest_of, narrow_heaps, phase, range_step, strength};
-use super::order::{lines, order};
+use super::order::{FiringOrder, lines, order};
 use super::projection::{Place, nearest};
 use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
 use crate::ground::angle;
@@ -88,9 +88,19 @@ impl<'p> Rows<'p> {
 }
 
 impl ScanFacts<'_> {
-    /// Scanners whose beams start away from the axis and that may have measured the scan: those of the
-    /// manufacturer whose scanner reproduces the most points.
+    /// Scanners whose beams start away from the axis and that may have measured the scan.
     pub(super) fn off_axis(&self) -> Option<Vec<Firings>> {
+        let scanner = self.of_best_maker()?;
+        let (sequence, rows, ticks) = (self.sequence(&scanner), scanner.rows(), scanner.build.ticks);
+        match order(&sequence, rows, ticks, self.slack(ticks)) {
+            Some(order) => Some(self.in_order(scanner, order)),
+            None => lines(&sequence, rows, ticks).map(|lines| vec![scanner.line_by_line(lines)]),
+        }
+    }
+
+    /// The scanner of the manufacturer whose scanner reproduces the most points, whatever the order in which
+    /// its lasers fire.
+    fn of_best_maker(&self) -> Option<Firings> {
         /// Number of points by which the manufacturer is determined.
         const SAMPLED: usize = 6000;
         /// Number of points that show where no beams start.
@@ -144,32 +154,34 @@ impl ScanFacts<'_> {
             true => 2 * placed > sample.len(),
             false => 10 * exact > sample.len(),
         })?;
-        let (sequence, rows, ticks) = (self.sequence(&scanner), scanner.rows(), scanner.build.ticks);
-        if let Some(order) = order(&sequence, rows, ticks, self.slack(ticks)) {
-            let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
-            let lagging = scanner.clone().lagging(vec![0; rows]);
-            let starts = [0].iter().chain(&order.other_starts).chain(&order.half_start);
-            let begun: Vec<Firings> = starts.map(|&start| scanner.clone().begun_at(start)).collect();
-            // A timing that is known need not be estimated.
-            let published = match scanner.build.recipe {
-                Recipe::LsLidar => Vec::new(),
-                _ => Timing::of_robosense(rows),
-            };
-            let of_start = |scanner: &Firings| {
-                let timed = published.iter().map(|timing| scanner.clone().with_timing(timing.clone()));
-                timed.collect::<Vec<_>>()
-            };
-            // Lasers with few returns do not show their place in the order; most scanners' fire downwards.
-            let downwards =
-                Firings::new(scanner.build.clone(), scanner.lasers.clone(), (0..rows as u32).collect());
-            let all = begun.iter().chain([&downwards]).flat_map(of_start);
-            if let Some(known) = all.into_iter().find(|timed| self.shows_timing_of(timed)) {
-                return Some(vec![known]);
-            }
-            let begun = begun.into_iter().chain([lagging]);
-            return Some(begun.flat_map(|scanner| self.with_timings(scanner, false)).collect());
+        Some(scanner)
+    }
+
+    /// A scanner whose lasers fire in this order, with the timings that may be its own.
+    fn in_order(&self, scanner: Firings, order: FiringOrder) -> Vec<Firings> {
+        let rows = scanner.rows();
+        let scanner = Firings::new(scanner.build, scanner.lasers, order.rows_of_slots);
+        let lagging = scanner.clone().lagging(vec![0; rows]);
+        let starts = [0].iter().chain(&order.other_starts).chain(&order.half_start);
+        let begun: Vec<Firings> = starts.map(|&start| scanner.clone().begun_at(start)).collect();
+        // A timing that is known need not be estimated.
+        let published = match scanner.build.recipe {
+            Recipe::LsLidar => Vec::new(),
+            _ => Timing::of_robosense(rows),
+        };
+        let of_start = |scanner: &Firings| {
+            let timed = published.iter().map(|timing| scanner.clone().with_timing(timing.clone()));
+            timed.collect::<Vec<_>>()
+        };
+        // Lasers with few returns do not show their place in the order; most scanners' fire downwards.
+        let downwards =
+            Firings::new(scanner.build.clone(), scanner.lasers.clone(), (0..rows as u32).collect());
+        let mut all = begun.iter().chain([&downwards]).flat_map(of_start);
+        if let Some(known) = all.find(|timed| self.shows_timing_of(timed)) {
+            return vec![known];
         }
-        lines(&sequence, rows, ticks).map(|lines| vec![scanner.line_by_line(lines)])
+        let begun = begun.iter().cloned().chain([lagging]);
+        begun.flat_map(|scanner| self.with_timings(scanner, false)).collect()
     }
 
     /// Rows and ticks of the points in file order, without echoes.
