@@ -198,10 +198,11 @@ impl RangeModel {
                         deep.code(coder, (&self.shape, self.tables), known.scale, (&site, offset), range)
                     }
                     (None, Some(back), Some(learned)) => {
-                        let parts = (&self.shape, self.tables, &mut self.bits);
-                        learned.code(coder, parts, known.scale, (&site, offset), back, range)
+                        let RangeModel { shape, tables, bits, .. } = self;
+                        let shared = Shared { shape, tables, bits, scale: known.scale };
+                        learned.code(coder, shared, &site, offset, back, range)
                     }
-                    _ => self.code_alone(coder, known.scale, (&site, offset), range),
+                    _ => self.code_alone(coder, known.scale, &site, offset, range),
                 };
                 steps[cell] = coded.range as u32;
                 let range = coded.range as f64;
@@ -222,7 +223,8 @@ impl RangeModel {
         &mut self,
         coder: &mut C,
         scale: RangeScale,
-        (site, hint): (&Site, f64),
+        site: &Site,
+        hint: f64,
         range: i64,
     ) -> Coded {
         let fits = &mut self.fits[site.edge];
@@ -257,15 +259,23 @@ impl RangeModel {
     }
 }
 
+/// What ranges share, whether there is a reference or not.
+struct Shared<'m> {
+    shape: &'m ErrorShape,
+    tables: &'static Logistic,
+    bits: &'m mut RangeBits,
+    scale: RangeScale,
+}
+
 impl WithReference {
     /// Codes a range from its neighbours and from the reference.
     #[inline]
     fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        (shape, tables, bits): (&ErrorShape, &'static Logistic, &mut RangeBits),
-        scale: RangeScale,
-        (site, hint): (&Site, f64),
+        Shared { shape, tables, bits, scale }: Shared,
+        site: &Site,
+        hint: f64,
         back: &Back,
         range: i64,
     ) -> Coded {

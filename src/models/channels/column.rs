@@ -38,6 +38,13 @@ struct OffModel {
     last: i64,
 }
 
+/// The grid of a column's values, and how those off it are coded, if there are any.
+struct OffGrid<'m> {
+    model: &'m mut OffModel,
+    has_exceptions: bool,
+    grid: &'m NumberGrid,
+}
+
 impl ColumnModel {
     /// Codes the values of a column; a decoder passes zeros of the same length.
     ///
@@ -105,8 +112,8 @@ impl ColumnModel {
         model.start_frame(context.size());
         let (grid, divisor) = (plan.scale.grid(scalar), i64::from(plan.divisor));
         let integers = known_integers::<C>(&grid, values);
-        let how = (plan.has_exceptions, &grid);
-        code_each(coder, off, how, scalar, (&integers, values), |coder, record, integer| {
+        let off = OffGrid { model: off, has_exceptions: plan.has_exceptions, grid: &grid };
+        code_each(coder, off, scalar, &integers, values, |coder, record, integer| {
             let steps = context.steps.get(record).copied().unwrap_or(0);
             integer.map(|integer| model.code(coder, context.cell(record), steps, integer / divisor) * divisor)
         });
@@ -127,11 +134,9 @@ impl ColumnModel {
         let palette = Palette::of(integers.iter().copied().flatten()).unwrap_or_default().code(coder)?;
         let model = self.levels.get_or_insert_default();
         model.start_frame(&palette, context.size(), count);
-        let how = (plan.has_exceptions, &grid);
-        code_each(coder, &mut self.off, how, scalar, (&integers, values), |coder, record, integer| {
-            let number = |numbers: &[u32]| numbers.get(record).map_or(0, |&number| number as usize);
-            let cell = (number(&context.rows), number(&context.columns));
-            integer.map(|integer| model.code(coder, &palette, cell, integer))
+        let off = OffGrid { model: &mut self.off, has_exceptions: plan.has_exceptions, grid: &grid };
+        code_each(coder, off, scalar, &integers, values, |coder, record, integer| {
+            integer.map(|integer| model.code(coder, &palette, context.cell(record), integer))
         });
         Ok(())
     }
@@ -148,21 +153,21 @@ impl ColumnModel {
         let ColumnModel { integers: model, rules, off, .. } = self;
         if let Some(rule) = plan.rule {
             rules.prepare(rule, plan.are_singles(scalar));
-            let (model, how) = ((rules, off), (plan.has_exceptions, &places));
+            let off = OffGrid { model: off, has_exceptions: plan.has_exceptions, grid: &places.grid };
             match rule {
-                Rule::Beam => code_by_rule::<C, BEAM>(coder, rule, model, how, scalar, values),
-                Rule::Column => code_by_rule::<C, COLUMN>(coder, rule, model, how, scalar, values),
-                Rule::After => code_by_rule::<C, AFTER>(coder, rule, model, how, scalar, values),
-                Rule::Tick => code_by_rule::<C, TICK>(coder, rule, model, how, scalar, values),
-                Rule::Turn(_) => code_by_rule::<C, TURN>(coder, rule, model, how, scalar, values),
+                Rule::Beam => code_by_rule::<C, BEAM>(coder, rule, rules, off, &places, scalar, values),
+                Rule::Column => code_by_rule::<C, COLUMN>(coder, rule, rules, off, &places, scalar, values),
+                Rule::After => code_by_rule::<C, AFTER>(coder, rule, rules, off, &places, scalar, values),
+                Rule::Tick => code_by_rule::<C, TICK>(coder, rule, rules, off, &places, scalar, values),
+                Rule::Turn(_) => code_by_rule::<C, TURN>(coder, rule, rules, off, &places, scalar, values),
             }
             return Ok(());
         }
         let lag = plan.lag as usize;
         let mut past = Vec::new();
         let integers = known_integers::<C>(&places.grid, values);
-        let how = (plan.has_exceptions, &places.grid);
-        code_each(coder, off, how, scalar, (&integers, values), |coder, record, integer| {
+        let off = OffGrid { model: off, has_exceptions: plan.has_exceptions, grid: &places.grid };
+        code_each(coder, off, scalar, &integers, values, |coder, record, integer| {
             let coded = integer.map(|integer| {
                 let mut site = places.site(record);
                 site.lagged = (lag > 0 && record > lag).then(|| [past[record - lag], past[record - lag - 1]]);
@@ -187,8 +192,9 @@ impl ColumnModel {
 fn code_by_rule<C: BitCoder, const KIND: u8>(
     coder: &mut C,
     rule: Rule,
-    (model, off): (&mut RuleModel, &mut OffModel),
-    (has_exceptions, places): (bool, &Places),
+    model: &mut RuleModel,
+    off: OffGrid,
+    places: &Places,
     scalar: Scalar,
     values: &mut [u8],
 ) {
@@ -201,12 +207,11 @@ fn code_by_rule<C: BitCoder, const KIND: u8>(
     model.code_phase(coder, rule, known.clone());
     let (doubts, learned) = model.code_doubts(coder, rule, known);
     // If the rule is right for all integers, nothing else is coded.
-    if let Some(learned) = learned.filter(|_| doubts.is_empty() && !has_exceptions) {
+    if let Some(learned) = learned.filter(|_| doubts.is_empty() && !off.has_exceptions) {
         return model.know(learned);
     }
-    let how = (has_exceptions, &places.grid);
-    code_each(coder, off, how, scalar, (&integers, values), |coder, record, integer| {
-        integer.map(|integer| model.code(coder, (rule, doubts), (record, &places.site(record)), integer))
+    code_each(coder, off, scalar, &integers, values, |coder, record, integer| {
+        integer.map(|integer| model.code(coder, rule, doubts, record, &places.site(record), integer))
     });
 }
 
@@ -220,10 +225,10 @@ fn known_integers<C: BitCoder>(grid: &NumberGrid, values: &[u8]) -> Vec<Option<i
 #[inline(always)]
 fn code_each<C: BitCoder>(
     coder: &mut C,
-    off: &mut OffModel,
-    (has_exceptions, grid): (bool, &NumberGrid),
+    off: OffGrid,
     scalar: Scalar,
-    (integers, values): (&[Option<i64>], &mut [u8]),
+    integers: &[Option<i64>],
+    values: &mut [u8],
     mut code: impl FnMut(&mut C, usize, Option<i64>) -> Option<i64>,
 ) {
     for (record, value) in values.chunks_exact_mut(scalar.size() as usize).enumerate() {
@@ -231,12 +236,12 @@ fn code_each<C: BitCoder>(
             return;
         }
         let integer = if C::ENCODES { integers[record] } else { Some(0) };
-        let is_off = has_exceptions && off.code(coder, scalar, integer.is_none(), value);
+        let is_off = off.has_exceptions && off.model.code(coder, scalar, integer.is_none(), value);
         // Called at one place, so that it can become a part of the loop.
         let coded = code(coder, record, if is_off { None } else { integer.or(Some(0)) });
         // An encoder already has the value.
         if !C::ENCODES && !is_off {
-            grid.write(coded.unwrap_or(0), value);
+            off.grid.write(coded.unwrap_or(0), value);
         }
     }
 }

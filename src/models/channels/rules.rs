@@ -246,8 +246,10 @@ impl RuleModel {
     pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        (rule, doubts): (Rule, Doubts),
-        (record, site): (usize, &Site),
+        rule: Rule,
+        doubts: Doubts,
+        record: usize,
+        site: &Site,
         value: i64,
     ) -> i64 {
         let told = site.geometry.unwrap_or(0);

@@ -334,14 +334,14 @@ fn round_trip_by(rule: Rule, are_singles: bool, sites: &[(u8, u8, Option<i64>)],
     writer.code_phase(&mut encoder, rule, known());
     let (doubts, _) = writer.code_doubts(&mut encoder, rule, known());
     for (record, (at, &integer)) in sites.iter().zip(integers).enumerate() {
-        assert_eq!(writer.code(&mut encoder, (rule, doubts), (record, &site(at)), integer), integer);
+        assert_eq!(writer.code(&mut encoder, rule, doubts, record, &site(at), integer), integer);
     }
     let bytes = encoder.finish();
     let mut decoder = ArithmeticDecoder::new(&bytes);
     reader.code_phase(&mut decoder, rule, known());
     assert_eq!(reader.code_doubts(&mut decoder, rule, known()).0, doubts);
     for (record, (at, &integer)) in sites.iter().zip(integers).enumerate() {
-        assert_eq!(reader.code(&mut decoder, (rule, doubts), (record, &site(at)), 0), integer);
+        assert_eq!(reader.code(&mut decoder, rule, doubts, record, &site(at), 0), integer);
     }
 }
 
