@@ -22,7 +22,7 @@ pub struct Scanner {
 
 /// A family defines the formula, the order of points in a file, the coding of columns, and how constants are
 /// estimated from points alone. A new family is a folder, a variant here, and a line in each of the functions
-/// below.
+/// below. What only one family has, others ask for by [`Scanner::hdl64`] and [`Scanner::firings`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum Family {
     /// Beam by beam, each in ascending order of azimuth.
@@ -34,6 +34,9 @@ pub enum Family {
 /// The numbers of the families in the stream.
 const HDL64: u64 = 1;
 const FIRINGS: u64 = 2;
+
+/// Minimum share of a scan that its own scanner explains.
+pub const LEAST_EXPLAINED: f64 = 0.5;
 
 /// The adaptive models of columns, whatever the family.
 #[derive(Clone, Default)]
@@ -289,6 +292,35 @@ impl Scanner {
             Family::Hdl64(scanner) => Cow::Borrowed(scanner),
             Family::Firings(scanner) => Cow::Owned(scanner.likeness()),
         }
+    }
+
+    /// Whether its family knows the arithmetic of programs, which reproduces points to the last bit.
+    pub fn has_recipe(&self) -> bool {
+        self.firings().is_some()
+    }
+
+    /// The share of a sample of a cloud's points, along the scanner's axes, that its recipe reproduces to the
+    /// last bit; `None` if it has no recipe.
+    pub fn reproduced_share(&self, cloud: &PointCloud) -> Option<f64> {
+        self.firings().map(|own| own.reproduced_share(&cloud.positions))
+    }
+
+    /// Whether its recipe reproduces most of one of these scans to the last bit.
+    pub fn reproduces_any<'s>(&self, scans: impl IntoIterator<Item = &'s ScanFile>) -> bool {
+        let is_own =
+            |own: &Firings, scan: &ScanFile| own.reproduces_most(&self.along_axes(&scan.cloud).positions);
+        self.firings().is_some_and(|own| scans.into_iter().any(|scan| is_own(own, scan)))
+    }
+
+    /// Whether it has measured a scan. `reproduces`: it reproduces others of the folder to the last bit.
+    pub fn has_measured(&self, scan: &ScanFile, reproduces: bool) -> bool {
+        let cloud = &self.along_axes(&scan.cloud);
+        // Units of the same model see about the same, but only one of them to the last bit.
+        let reproduced = reproduces.then(|| self.reproduced_share(cloud)).flatten().unwrap_or(1.0);
+        // A scan that was moved by time stamps can be attributed to this scanner only after it is moved back.
+        let is_moved = || self.firings().is_some_and(|own| by_time::undo(cloud, own).is_some());
+        let is_seen = || reproduced.min(self.explained_share(cloud)) >= LEAST_EXPLAINED;
+        cloud.positions.is_empty() || is_seen() || is_moved()
     }
 
     /// The scanner, if it is of this family.

@@ -12,7 +12,7 @@ mod orientation;
 mod range_image;
 
 pub use coordinates::{CoordinateGrid, nearest_millimetre};
-pub use family::{ColumnModels, Family, Scanner};
+pub use family::{ColumnModels, Family, LEAST_EXPLAINED, Scanner};
 pub use ideal::{ideal, ideal_of};
 pub use orientation::Orientation;
 pub use range_image::{

@@ -13,9 +13,8 @@ use crate::frame::settings::{EncoderConfig, ProjectionKind};
 use crate::ground::error::Result;
 use crate::ground::team::pool;
 use crate::scan::{PointCloud, ScanFile, fullest, sorted};
-use crate::scanner::firings::Firings;
-use crate::scanner::motion::{self, by_time};
-use crate::scanner::{self, Orientation, Scanner, hdl64};
+use crate::scanner::motion;
+use crate::scanner::{self, LEAST_EXPLAINED, Orientation, Scanner, hdl64};
 
 /// Larger files, in bytes, are left out of the sample, all of which is in memory at once.
 const SAMPLE_FILE_BYTES: u64 = 64 << 20;
@@ -137,7 +136,7 @@ impl DriveScanners {
             Cow::Owned(as_measured(along_axes(scanner).into_owned(), config.undoes_compensation()))
         };
         match self.track_by_points(own, along_axes) {
-            (track, explained) if explained >= LEAST_SHARE => track,
+            (track, explained) if explained >= LEAST_EXPLAINED => track,
             _ => self.track_by_points(own, measured).0,
         }
     }
@@ -145,11 +144,10 @@ impl DriveScanners {
     /// The track of the scanner that explains most of the points that it would see, and how much that is;
     /// `own` if none explains any.
     fn track_by_points<'c>(&self, own: u8, seen_by: impl Fn(&Scanner) -> Cow<'c, PointCloud>) -> (u8, f64) {
-        // Both, as units of the same model see about the same, but only one of them to the last bit.
         let explained = |scanner: &Scanner| {
             let cloud = seen_by(scanner);
-            scanner.explained_share(&cloud)
-                + scanner.firings().map_or(0.0, |own| own.reproduced_share(&cloud.positions))
+            // Units of the same model see about the same, but only one of them to the last bit.
+            scanner.explained_share(&cloud) + scanner.reproduced_share(&cloud).unwrap_or(0.0)
         };
         let of = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, explained);
         let tracks = (0u8..).zip(&self.scanners).map(|(track, scanner)| (track, of(scanner)));
@@ -287,41 +285,18 @@ fn take_turns(
 ) -> Result<bool> {
     let second = sampling.scan(frames[1])?;
     // If it explains the first frame, this one only tells whether it does so to the last bit.
-    let needs_first = !explains_all || only.firings().is_some();
+    let needs_first = !explains_all || only.has_recipe();
     let first = if needs_first { sampling.scan(frames[0])? } else { None };
-    let reproduces = reproduces_any(only, first.iter().chain(&second));
+    let reproduces = only.reproduces_any(first.iter().chain(&second));
     let unknown = if explains_all { None } else { first.as_ref() };
-    Ok(second.iter().chain(unknown).any(|scan| !is_scan_of(only, scan, reproduces)))
+    Ok(second.iter().chain(unknown).any(|scan| !only.has_measured(scan, reproduces)))
 }
-
-/// Minimum share of a scan that its own scanner explains.
-const LEAST_SHARE: f64 = 0.5;
 
 /// The scans of a sample that are not of this scanner, which was fitted to some of them.
 fn without_scans_of(scanner: &Scanner, mut scans: Vec<ScanFile>) -> Vec<ScanFile> {
-    let reproduces = reproduces_any(scanner, &scans);
-    scans.retain(|scan| !is_scan_of(scanner, scan, reproduces));
+    let reproduces = scanner.reproduces_any(&scans);
+    scans.retain(|scan| !scanner.has_measured(scan, reproduces));
     scans
-}
-
-/// Whether this scanner reproduces most of one of these scans to the last bit.
-fn reproduces_any<'s>(scanner: &Scanner, scans: impl IntoIterator<Item = &'s ScanFile>) -> bool {
-    let own = scanner.firings();
-    let is_own =
-        |own: &Firings, scan: &ScanFile| own.reproduces_most(&scanner.along_axes(&scan.cloud).positions);
-    own.is_some_and(|own| scans.into_iter().any(|scan| is_own(own, scan)))
-}
-
-/// Whether a scan is of this scanner. `reproduces`: it reproduces others of the folder to the last bit.
-fn is_scan_of(scanner: &Scanner, scan: &ScanFile, reproduces: bool) -> bool {
-    let own = scanner.firings();
-    let cloud = &scanner.along_axes(&scan.cloud);
-    // Units of the same model see about the same, but only one of them to the last bit.
-    let reproduced = own.filter(|_| reproduces).map_or(1.0, |own| own.reproduced_share(&cloud.positions));
-    // A scan that was moved by time stamps can be attributed to this scanner only after it is moved back.
-    let is_moved = || own.is_some_and(|own| by_time::undo(cloud, own).is_some());
-    let is_seen = || reproduced.min(scanner.explained_share(cloud)) >= LEAST_SHARE;
-    cloud.positions.is_empty() || is_seen() || is_moved()
 }
 
 /// Scanners that together explain the scans of a sample, as far as fits succeed, and whether they explain
