@@ -19,7 +19,8 @@ use crate::stream::ordered::Workers;
 use crate::stream::scanner_choice::{DriveScanners, KeptScanners, choose_scanners, records_of};
 
 /// Encodes scans as they arrive. The scanner is fitted to the first group of scans; groups are coded on other
-/// threads while more scans are pushed, and written as they are done. A few groups are in memory at a time, with all their scans.
+/// threads while more scans are pushed, and written as they are done. A few groups are in memory at a time,
+/// with all their scans.
 ///
 /// A stream whose encoder is dropped before [`finish`](Self::finish) has no index and no end.
 #[derive(Debug)]

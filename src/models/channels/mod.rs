@@ -112,8 +112,8 @@ impl Shape {
 }
 
 impl ChannelsModel {
-    /// Codes the values of channels; a decoder passes zeros of the same length. An encoder
-    /// may try these `compressors`. The images of all columns have at most `most_cells` cells. Returns their number, 0 if no
+    /// Codes the values of channels; a decoder passes zeros of the same length. An encoder may try these
+    /// `compressors`. The images of all columns have at most `most_cells` cells. Returns their number, 0 if no
     /// column is coded by one.
     ///
     /// # Errors

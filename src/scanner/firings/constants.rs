@@ -711,8 +711,8 @@ fn polished(bare: &Firings, (laser, exact): (Laser, usize), points: &[Point]) ->
     best_of(bare, tried, points, (laser, exact))
 }
 
-/// The offset of a laser to the last bit in degrees, unless it then reproduces fewer than `exact` points. Those
-/// near the axes determine it, because sums of angles are small there.
+/// The offset of a laser to the last bit in degrees, unless it then reproduces fewer than `exact` points.
+/// Points near the axes determine it, because sums of angles are small there.
 fn sharpest(bare: &Firings, (laser, exact): (Laser, usize), points: &[Point], near_axes: &[Point]) -> Laser {
     /// Units to either side.
     const FARTHEST: f64 = 4.0 * AZIMUTH_STEP;
