@@ -13,7 +13,7 @@ use lidarpc::internals::files::{ArrivingFrames, FileFormat, convert, parse};
 use lidarpc::internals::frame::settings::{Coder, EncoderConfig, PredictionChoice};
 use lidarpc::internals::frame::{PositionFidelity, Prediction};
 use lidarpc::internals::ground::error::{Limits, Result};
-use lidarpc::internals::scan::{Channel, Number, PointCloud, Scalar};
+use lidarpc::internals::scan::{Channel, Number, PointCloud, ScalarType};
 use lidarpc::internals::scanner::{REACH, Return, Scanner};
 use lidarpc::internals::stream::{DecodeOptions, FrameInput};
 use lidarpc::recordings::internals::{Encoding, compress, payload, scan, unpacked};
@@ -170,7 +170,7 @@ fn coordinates(cloud: &PointCloud) -> Vec<u64> {
         Number::Float(value) => value.to_bits(),
     };
     let of_axis = |axis: usize| {
-        cloud.positions.iter().map(move |point| (Scalar::F32, point[axis].to_le_bytes().to_vec()))
+        cloud.positions.iter().map(move |point| (ScalarType::F32, point[axis].to_le_bytes().to_vec()))
     };
     let of_channel = |name| {
         let channels = cloud.channels.iter().filter(move |channel| channel.field.name == name);

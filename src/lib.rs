@@ -103,7 +103,7 @@ pub use library::{
     ChannelInfo, Decoder, Encoder, FrameDetails, FrameInfo, MessageEncoder, RangeImage, Scalar, Scan, Scans,
     Settings, Summary,
 };
-pub use scan::Scalar as ScalarType;
+pub use scan::ScalarType;
 
 /// The internals, for this crate's own tests, benchmarks and fuzz targets. They may change at any time.
 #[cfg(feature = "internals")]

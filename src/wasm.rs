@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use crate::ground::error::{Error, Result};
 use crate::library::{Decoder, Scalar, Scan};
-use crate::scan::Scalar as ScalarType;
+use crate::scan::ScalarType;
 
 /// The call succeeded; there is an answer.
 const DONE: u32 = 0;

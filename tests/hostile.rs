@@ -12,7 +12,7 @@ use lidarpc::internals::frame::{FrameParameters, Modelling};
 use lidarpc::internals::ground::error::Limits;
 use lidarpc::internals::ground::varint::write_unsigned;
 use lidarpc::internals::models::ByteModel;
-use lidarpc::internals::scan::{Field, Layout, Scalar, Wrapping};
+use lidarpc::internals::scan::{Field, Layout, ScalarType, Wrapping};
 use lidarpc::internals::scanner::hdl64::{BeamConstants, Hdl64, Hdl64ColumnModel};
 use lidarpc::internals::scanner::{CoordinateGrid, Scanner};
 use proptest::prelude::*;
@@ -256,7 +256,7 @@ fn forged_as(
 }
 
 fn kitti_layout() -> Layout {
-    let fields = ["x", "y", "z", "i"].map(|name| Field::new(name, Scalar::F32)).to_vec();
+    let fields = ["x", "y", "z", "i"].map(|name| Field::new(name, ScalarType::F32)).to_vec();
     Layout { wrapping: Wrapping::Plain, fields, position: Some([0, 1, 2]), intensity: Some(3) }
 }
 

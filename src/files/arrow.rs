@@ -9,7 +9,7 @@ use byteorder::{ByteOrder, LittleEndian};
 use super::field::{layout_of, name_of, names_coordinates, with_underscores};
 use super::{by_field, lz4, records};
 use crate::ground::error::{Error, Result};
-use crate::scan::{Field, Scalar, ScanFile, Widening, Wrapping};
+use crate::scan::{Field, ScalarType, ScanFile, Widening, Wrapping};
 
 const MAGIC: &[u8] = b"ARROW1";
 /// Bytes before the first message: the magic, and two zeros.
@@ -60,28 +60,28 @@ impl Column {
             INTEGER => {
                 let is_signed = properties.number(1) == Some([1]);
                 match (i32::from_le_bytes(properties.number(0)?), is_signed) {
-                    (8, false) => Scalar::U8,
-                    (8, true) => Scalar::I8,
-                    (16, false) => Scalar::U16,
-                    (16, true) => Scalar::I16,
-                    (32, false) => Scalar::U32,
-                    (32, true) => Scalar::I32,
-                    (64, false) => Scalar::U64,
-                    (64, true) => Scalar::I64,
+                    (8, false) => ScalarType::U8,
+                    (8, true) => ScalarType::I8,
+                    (16, false) => ScalarType::U16,
+                    (16, true) => ScalarType::I16,
+                    (32, false) => ScalarType::U32,
+                    (32, true) => ScalarType::I32,
+                    (64, false) => ScalarType::U64,
+                    (64, true) => ScalarType::I64,
                     _ => return None,
                 }
             }
             FLOAT => match properties.number(0).map_or(0, i16::from_le_bytes) {
-                0 => Scalar::U16,
-                1 => Scalar::F32,
-                2 => Scalar::F64,
+                0 => ScalarType::U16,
+                1 => ScalarType::F32,
+                2 => ScalarType::F64,
                 _ => return None,
             },
-            TIMESTAMP | DURATION => Scalar::I64,
+            TIMESTAMP | DURATION => ScalarType::I64,
             _ => return None,
         };
         let name = name_of(&with_underscores(table.text(0).unwrap_or_default()));
-        let is_half = kind == FLOAT && scalar == Scalar::U16;
+        let is_half = kind == FLOAT && scalar == ScalarType::U16;
         Some(Column { field: Field { name, scalar, count: 1 }, is_half })
     }
 }
@@ -481,7 +481,7 @@ pub(super) mod tests {
         assert_eq!((scan.records, scan.cloud.positions[49]), (50, position(49)));
         let Wrapping::Arrow { widenings, .. } = &scan.layout.wrapping else { panic!("{scan:?}") };
         assert_eq!(widenings[..3], [Widening::Exact; 3]);
-        assert_eq!(scan.cloud.channel("time").unwrap().field.scalar, Scalar::I64);
+        assert_eq!(scan.cloud.channel("time").unwrap().field.scalar, ScalarType::I64);
         assert_eq!(scan.cloud.intensity[49], 147.0);
     }
 

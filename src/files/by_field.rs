@@ -5,7 +5,7 @@ use super::field::layout_of;
 use super::records::{Parts, copy_values};
 use super::widened;
 use crate::ground::error::Result;
-use crate::scan::{Field, Layout, Scalar, ScanFile, Widening, Wrapping};
+use crate::scan::{Field, Layout, ScalarType, ScanFile, Widening, Wrapping};
 
 /// Splits a file whose `count` records begin at byte `start`. Numbers become float32 as in
 /// [`widened::parse`]. `None` if the layout is not valid, or if the file is too short.
@@ -45,8 +45,8 @@ pub(super) fn stored(layout: &Layout, widenings: &[Widening]) -> impl Iterator<I
     layout.fields.iter().zip(widenings).map(|(field, widening)| match widening {
         // A valid layout has no steps here.
         Widening::None | Widening::Steps(_) => field.clone(),
-        Widening::Half => Field { scalar: Scalar::U16, ..field.clone() },
-        Widening::Exact | Widening::Decimal(_) => Field { scalar: Scalar::F64, ..field.clone() },
+        Widening::Half => Field { scalar: ScalarType::U16, ..field.clone() },
+        Widening::Exact | Widening::Decimal(_) => Field { scalar: ScalarType::F64, ..field.clone() },
     })
 }
 

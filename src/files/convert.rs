@@ -8,7 +8,7 @@ use super::Kind;
 use super::field::{POSITION, layout_of};
 use super::{numpy, records};
 use crate::ground::error::{Error, Result};
-use crate::scan::{Column as TextColumn, NumberRule, Scalar, ScanFile, Separator, TextFormat, Wrapping};
+use crate::scan::{Column as TextColumn, NumberRule, ScalarType, ScanFile, Separator, TextFormat, Wrapping};
 
 /// A format that scans can be converted to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,7 +45,7 @@ impl FileFormat {
                 .ok_or("has coordinates that are not float32; convert it to pcd or ply"),
             FileFormat::Pcd | FileFormat::Csv | FileFormat::Npy => Ok(columns),
             FileFormat::Ply => {
-                let has_type = |column: &Column| !matches!(column.scalar, Scalar::I64 | Scalar::U64);
+                let has_type = |column: &Column| !matches!(column.scalar, ScalarType::I64 | ScalarType::U64);
                 if !columns.iter().take(POSITION.len()).all(has_type) {
                     return Err(
                         "has coordinates that are integers of 64 bits, which PLY does not know; convert it to pcd or csv",
@@ -74,8 +74,8 @@ impl FileFormat {
         match self {
             FileFormat::Csv => {
                 let shortest =
-                    |scalar| NumberRule::Shortest { double: scalar == Scalar::F64, point_zero: false };
-                let column = |scalar: Scalar| TextColumn {
+                    |scalar| NumberRule::Shortest { double: scalar == ScalarType::F64, point_zero: false };
+                let column = |scalar: ScalarType| TextColumn {
                     scalar,
                     rule: if scalar.is_float() { shortest(scalar) } else { NumberRule::Integer },
                 };

@@ -1,6 +1,6 @@
 //! Named fields of a record, as the headers of files declare them.
 
-use crate::scan::{Field, Layout, MAX_NAME, MAX_STRIDE, Scalar, Wrapping};
+use crate::scan::{Field, Layout, MAX_NAME, MAX_STRIDE, ScalarType, Wrapping};
 
 /// The name given to an intensity without a name.
 pub(super) const INTENSITY: &str = "intensity";
@@ -19,7 +19,7 @@ pub(super) struct Declared<'a> {
     /// Its name.
     pub name: &'a str,
     /// The type of its values, if it is a type that this program knows.
-    pub scalar: Option<Scalar>,
+    pub scalar: Option<ScalarType>,
     /// Number of bytes that a record has for it.
     pub width: u32,
 }
@@ -102,15 +102,16 @@ pub(super) fn layout_of(fields: Vec<Field>, wrapping: Wrapping) -> Option<Layout
     }
     let coordinate = |name: &str| {
         let at = find(&fields, name)?;
-        let suits = fields[at].scalar == Scalar::F32 && fields[at].count == 1;
+        let suits = fields[at].scalar == ScalarType::F32 && fields[at].count == 1;
         suits.then_some(at as u32)
     };
     let position = match (coordinate("x"), coordinate("y"), coordinate("z")) {
         (Some(x), Some(y), Some(z)) => Some([x, y, z]),
         _ => None,
     };
-    let suits =
-        |field: &Field| matches!(field.scalar, Scalar::F32 | Scalar::U8 | Scalar::U16) && field.count == 1;
+    let suits = |field: &Field| {
+        matches!(field.scalar, ScalarType::F32 | ScalarType::U8 | ScalarType::U16) && field.count == 1
+    };
     let intensity = find_intensity(&fields, suits).map(|at| at as u32);
     Some(Layout { wrapping, fields, position, intensity })
 }

@@ -16,7 +16,7 @@ use super::field::{find, layout_of};
 use super::records::plain_file;
 use super::widened;
 use crate::ground::error::{Error, Result};
-use crate::scan::{Axis, Field, Layout, MAX_NAME, MAX_STRIDE, Scalar, ScanFile, Wrapping};
+use crate::scan::{Axis, Field, Layout, MAX_NAME, MAX_STRIDE, ScalarType, ScanFile, Wrapping};
 
 /// The largest number of fields in a record; scanners' records have 3 to about 20.
 const MOST_FIELDS: usize = 64;
@@ -51,7 +51,7 @@ impl HeaderlessLayout {
     /// The layout of these letters; unknown letters are ignored.
     fn of_letters(letters: &str) -> Self {
         let name = |letter: char| LETTERS.iter().find(|(known, _)| *known == letter).map(|(_, name)| name);
-        let fields = letters.chars().filter_map(name).map(|name| Field::new(name, Scalar::F32)).collect();
+        let fields = letters.chars().filter_map(name).map(|name| Field::new(name, ScalarType::F32)).collect();
         HeaderlessLayout { text: letters.to_owned(), fields }
     }
 
@@ -107,7 +107,7 @@ impl FromStr for HeaderlessLayout {
 /// Splits a file with KITTI's fields, record by record or field by field, or one of the NCLT data set.
 pub(super) fn parse_kitti(bytes: &[u8]) -> Option<ScanFile> {
     if is_nclt(bytes) {
-        let others = ["intensity", "ring"].map(|name| Field::new(name, Scalar::U8));
+        let others = ["intensity", "ring"].map(|name| Field::new(name, ScalarType::U8));
         return widened::parse_steps(NCLT, &others, bytes);
     }
     let layout = HeaderlessLayout::kitti();
@@ -167,7 +167,7 @@ fn is_by_field(bytes: &[u8]) -> bool {
 fn field(text: &str) -> std::result::Result<Field, String> {
     let (name, kind) = text.split_once(':').unwrap_or((text, "f32"));
     let (kind, count) = kind.split_once('*').unwrap_or((kind, "1"));
-    let scalar = Scalar::from_name(kind).ok_or_else(|| {
+    let scalar = ScalarType::from_name(kind).ok_or_else(|| {
         format!("has the type '{kind}'; known are i8, u8, i16, u16, i32, u32, i64, u64, f32, f64")
     })?;
     let count = count.parse().ok().filter(|count| (1..=MAX_STRIDE).contains(count));
@@ -289,9 +289,9 @@ mod tests {
         assert_eq!(
             layout.fields[3..6],
             [
-                Field::new("intensity", Scalar::U8),
-                Field::new("ring", Scalar::U16),
-                Field::new("time", Scalar::F64)
+                Field::new("intensity", ScalarType::U8),
+                Field::new("ring", ScalarType::U16),
+                Field::new("time", ScalarType::F64)
             ]
         );
         assert_eq!((layout.fields[6].clone(), layout.stride()), (Field::padding(4), 27));

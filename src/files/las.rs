@@ -8,7 +8,7 @@ use super::field::layout_of;
 use super::records::plain_file;
 use super::scaled;
 use crate::ground::rounding::round_ties_even;
-use crate::scan::{Axis, Field, Scalar, ScanFile, Wrapping};
+use crate::scan::{Axis, Field, ScalarType, ScanFile, Wrapping};
 
 const MAGIC: &[u8] = b"LASF";
 /// Bytes of the header up to version 1.2; later headers are longer.
@@ -79,16 +79,16 @@ impl Header {
 /// Splits a file. `None` if its header is not supported.
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let header = Header::parse(bytes)?;
-    let with = |names: [&str; 3], scalar: Scalar| {
+    let with = |names: [&str; 3], scalar: ScalarType| {
         let coordinates = names.map(|name| Field::new(name, scalar));
         layout_of([&coordinates[..], &header.others].concat(), Wrapping::Plain)
     };
     let scaled = header.axes().into_iter().flatten().find_map(|axes| {
-        scaled::parse(with(["x", "y", "z"], Scalar::F32)?, axes, bytes, header.start, header.records)
+        scaled::parse(with(["x", "y", "z"], ScalarType::F32)?, axes, bytes, header.start, header.records)
     });
     // The fallback: integers, which are not known as coordinates.
     let plain = || {
-        let layout = with(["x_steps", "y_steps", "z_steps"], Scalar::I32)?;
+        let layout = with(["x_steps", "y_steps", "z_steps"], ScalarType::I32)?;
         plain_file(layout, bytes, header.start, header.records)
     };
     scaled.or_else(plain)
@@ -111,8 +111,8 @@ pub(super) fn with_point_count(header: &[u8], points: usize) -> Option<Vec<u8>> 
 /// The fields after the coordinates in a record of this format; `None` if it is unknown, as for compressed
 /// records, which are marked by a bit of `format`.
 fn fields(format: u8) -> Option<Vec<Field>> {
-    use Scalar::{F32, F64, I8, I16, U8, U16, U32, U64};
-    let of = |fields: &[(&str, Scalar)]| -> Vec<Field> {
+    use ScalarType::{F32, F64, I8, I16, U8, U16, U32, U64};
+    let of = |fields: &[(&str, ScalarType)]| -> Vec<Field> {
         fields.iter().map(|(name, scalar)| Field::new(name, *scalar)).collect()
     };
     let (old, new) = (
@@ -124,7 +124,7 @@ fn fields(format: u8) -> Option<Vec<Field>> {
     let infrared = [("infrared", U16)];
     let wave = [("wave_descriptor", U8), ("wave_start", U64), ("wave_size", U32)];
     let wave_of_return = [("wave_return", F32), ("wave_x", F32), ("wave_y", F32), ("wave_z", F32)];
-    let mut parts: Vec<&[(&str, Scalar)]> = match format {
+    let mut parts: Vec<&[(&str, ScalarType)]> = match format {
         0..=5 => vec![&old, &source],
         6..=10 => vec![&new, &angle, &source, &time],
         _ => return None,

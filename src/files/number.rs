@@ -6,7 +6,7 @@ use byteorder::{ByteOrder, LittleEndian};
 
 use crate::ground::decimal;
 use crate::ground::error::Result;
-use crate::scan::{Column, MAX_DIGITS, Number, NumberRule, Printf, Scalar};
+use crate::scan::{Column, MAX_DIGITS, Number, NumberRule, Printf, ScalarType};
 
 /// `%g` and `repr` write numbers with a smaller exponent than this in scientific notation.
 const LEAST_PLAIN_EXPONENT: i32 = -4;
@@ -15,22 +15,22 @@ const REPR_EXPONENT: i32 = 16;
 
 /// Parses `token` and appends the little-endian bytes of the value. `None` if it is not a number of this
 /// type. Accepts more than is ever written: the caller must check that the text is restored.
-pub(super) fn parse(token: &str, scalar: Scalar, out: &mut Vec<u8>) -> Option<()> {
+pub(super) fn parse(token: &str, scalar: ScalarType, out: &mut Vec<u8>) -> Option<()> {
     match scalar {
-        Scalar::I8 => out.extend(token.parse::<i8>().ok()?.to_le_bytes()),
-        Scalar::U8 => out.extend(token.parse::<u8>().ok()?.to_le_bytes()),
-        Scalar::I16 => out.extend(token.parse::<i16>().ok()?.to_le_bytes()),
-        Scalar::U16 => out.extend(token.parse::<u16>().ok()?.to_le_bytes()),
-        Scalar::I32 => out.extend(token.parse::<i32>().ok()?.to_le_bytes()),
-        Scalar::U32 => out.extend(token.parse::<u32>().ok()?.to_le_bytes()),
-        Scalar::I64 => out.extend(token.parse::<i64>().ok()?.to_le_bytes()),
-        Scalar::U64 => out.extend(token.parse::<u64>().ok()?.to_le_bytes()),
-        Scalar::F32 => match token {
+        ScalarType::I8 => out.extend(token.parse::<i8>().ok()?.to_le_bytes()),
+        ScalarType::U8 => out.extend(token.parse::<u8>().ok()?.to_le_bytes()),
+        ScalarType::I16 => out.extend(token.parse::<i16>().ok()?.to_le_bytes()),
+        ScalarType::U16 => out.extend(token.parse::<u16>().ok()?.to_le_bytes()),
+        ScalarType::I32 => out.extend(token.parse::<i32>().ok()?.to_le_bytes()),
+        ScalarType::U32 => out.extend(token.parse::<u32>().ok()?.to_le_bytes()),
+        ScalarType::I64 => out.extend(token.parse::<i64>().ok()?.to_le_bytes()),
+        ScalarType::U64 => out.extend(token.parse::<u64>().ok()?.to_le_bytes()),
+        ScalarType::F32 => match token {
             "nan" => out.extend(f32::NAN.copysign(1.0).to_le_bytes()),
             "-nan" => out.extend(f32::NAN.copysign(-1.0).to_le_bytes()),
             _ => out.extend(token.parse::<f32>().ok()?.to_le_bytes()),
         },
-        Scalar::F64 => match token {
+        ScalarType::F64 => match token {
             "nan" => out.extend(f64::NAN.copysign(1.0).to_le_bytes()),
             "-nan" => out.extend(f64::NAN.copysign(-1.0).to_le_bytes()),
             _ => out.extend(token.parse::<f64>().ok()?.to_le_bytes()),
@@ -102,12 +102,12 @@ impl PlainNumber {
 pub(super) fn parse_plain(
     text: &str,
     plain: Option<PlainNumber>,
-    scalar: Scalar,
+    scalar: ScalarType,
     out: &mut Vec<u8>,
 ) -> Option<()> {
-    match (scalar, plain.and_then(|plain| plain.float(scalar == Scalar::F32))) {
-        (Scalar::F32, Some(value)) => out.extend((value as f32).to_le_bytes()),
-        (Scalar::F64, Some(value)) => out.extend(value.to_le_bytes()),
+    match (scalar, plain.and_then(|plain| plain.float(scalar == ScalarType::F32))) {
+        (ScalarType::F32, Some(value)) => out.extend((value as f32).to_le_bytes()),
+        (ScalarType::F64, Some(value)) => out.extend(value.to_le_bytes()),
         _ => parse(text, scalar, out)?,
     }
     Some(())
@@ -133,12 +133,12 @@ impl NumberWriter {
     pub(super) fn write(&mut self, value: &[u8], column: Column, out: &mut Vec<u8>) -> Result<()> {
         match column.scalar {
             _ if column.rule == NumberRule::Character => out.extend_from_slice(value),
-            Scalar::F32 => self.write_float(LittleEndian::read_f32(value).into(), column, out)?,
-            Scalar::F64 => self.write_float(LittleEndian::read_f64(value), column, out)?,
-            Scalar::U8 | Scalar::U16 | Scalar::U32 | Scalar::U64 => {
+            ScalarType::F32 => self.write_float(LittleEndian::read_f32(value).into(), column, out)?,
+            ScalarType::F64 => self.write_float(LittleEndian::read_f64(value), column, out)?,
+            ScalarType::U8 | ScalarType::U16 | ScalarType::U32 | ScalarType::U64 => {
                 write_integer(LittleEndian::read_uint(value, value.len()), out);
             }
-            Scalar::I8 | Scalar::I16 | Scalar::I32 | Scalar::I64 => {
+            ScalarType::I8 | ScalarType::I16 | ScalarType::I32 | ScalarType::I64 => {
                 write_integer(LittleEndian::read_int(value, value.len()), out);
             }
         }
@@ -167,8 +167,8 @@ impl NumberWriter {
     /// to know that.
     fn gives_plain(&self, plain: PlainNumber, bytes: &[u8], column: Column) -> Option<bool> {
         let value = match column.scalar {
-            Scalar::F32 => f64::from(LittleEndian::read_f32(bytes)),
-            Scalar::F64 => LittleEndian::read_f64(bytes),
+            ScalarType::F32 => f64::from(LittleEndian::read_f32(bytes)),
+            ScalarType::F64 => LittleEndian::read_f64(bytes),
             scalar => {
                 let Some(Number::Integer(value)) = scalar.number(bytes) else { return None };
                 return (column.rule == NumberRule::Integer).then_some(plain.integer() == Some(value));
@@ -245,7 +245,7 @@ impl NumberWriter {
                 }
             }
             NumberRule::Shortest { double, point_zero } => {
-                let single = column.scalar == Scalar::F32 && !double;
+                let single = column.scalar == ScalarType::F32 && !double;
                 let exponent = self.take_digits(value, None, single)?;
                 if !(LEAST_PLAIN_EXPONENT..REPR_EXPONENT).contains(&exponent) {
                     self.write_scientific(exponent, out)?;
@@ -454,7 +454,7 @@ impl Survey {
     /// The rules by which these texts may have been written, the likeliest first. A rule of N significant
     /// digits gives the same texts with any larger N as long as no number has more digits (those before the
     /// decimal point count, because they determine where exponents begin), so the least N suffices.
-    pub(super) fn candidates(&self, scalar: Scalar) -> Vec<NumberRule> {
+    pub(super) fn candidates(&self, scalar: ScalarType) -> Vec<NumberRule> {
         if !scalar.is_float() {
             return vec![NumberRule::Integer];
         }
@@ -482,9 +482,9 @@ mod tests {
     use super::*;
     use crate::ground::random::Rng;
 
-    fn text(value: f64, scalar: Scalar, rule: NumberRule) -> String {
+    fn text(value: f64, scalar: ScalarType, rule: NumberRule) -> String {
         let bytes = match scalar {
-            Scalar::F32 => (value as f32).to_le_bytes().to_vec(),
+            ScalarType::F32 => (value as f32).to_le_bytes().to_vec(),
             _ => value.to_le_bytes().to_vec(),
         };
         let mut out = Vec::new();
@@ -497,7 +497,7 @@ mod tests {
         let old = Printf { ties_away: true, long_exponent: true };
         let text = |value: f64, rule: NumberRule| {
             let mut out = Vec::new();
-            let column = Column { scalar: Scalar::F64, rule };
+            let column = Column { scalar: ScalarType::F64, rule };
             NumberWriter::new(old).write(&value.to_le_bytes(), column, &mut out).unwrap();
             String::from_utf8(out).unwrap()
         };
@@ -544,38 +544,38 @@ mod tests {
             (f64::INFINITY, 8, "inf"),
             (-f64::NAN, 8, "-nan"),
         ] {
-            assert_eq!(text(value, Scalar::F64, NumberRule::Significant(digits)), expected);
+            assert_eq!(text(value, ScalarType::F64, NumberRule::Significant(digits)), expected);
         }
     }
 
     #[test]
     fn decimals_are_those_of_printf() {
-        assert_eq!(text(-0.001, Scalar::F64, NumberRule::Fixed(2)), "-0.00");
-        assert_eq!(text(0.125, Scalar::F64, NumberRule::Fixed(2)), "0.12");
-        assert_eq!(text(2.5, Scalar::F64, NumberRule::Fixed(0)), "2");
-        assert_eq!(text(0.1, Scalar::F32, NumberRule::Fixed(10)), "0.1000000015");
-        assert_eq!(text(0.5, Scalar::F64, NumberRule::Scientific(18)), "5.000000000000000000e-01");
-        assert_eq!(text(0.0, Scalar::F64, NumberRule::Scientific(0)), "0e+00");
+        assert_eq!(text(-0.001, ScalarType::F64, NumberRule::Fixed(2)), "-0.00");
+        assert_eq!(text(0.125, ScalarType::F64, NumberRule::Fixed(2)), "0.12");
+        assert_eq!(text(2.5, ScalarType::F64, NumberRule::Fixed(0)), "2");
+        assert_eq!(text(0.1, ScalarType::F32, NumberRule::Fixed(10)), "0.1000000015");
+        assert_eq!(text(0.5, ScalarType::F64, NumberRule::Scientific(18)), "5.000000000000000000e-01");
+        assert_eq!(text(0.0, ScalarType::F64, NumberRule::Scientific(0)), "0e+00");
     }
 
     #[test]
     fn shortest_digits_are_those_of_repr() {
         let rule = |double, point_zero| NumberRule::Shortest { double, point_zero };
-        assert_eq!(text(0.1, Scalar::F32, rule(false, true)), "0.1");
-        assert_eq!(text(0.1, Scalar::F32, rule(true, true)), "0.10000000149011612");
-        assert_eq!(text(-3.0, Scalar::F32, rule(false, true)), "-3.0");
-        assert_eq!(text(-3.0, Scalar::F32, rule(false, false)), "-3");
-        assert_eq!(text(1e-5, Scalar::F64, rule(true, true)), "1e-05");
+        assert_eq!(text(0.1, ScalarType::F32, rule(false, true)), "0.1");
+        assert_eq!(text(0.1, ScalarType::F32, rule(true, true)), "0.10000000149011612");
+        assert_eq!(text(-3.0, ScalarType::F32, rule(false, true)), "-3.0");
+        assert_eq!(text(-3.0, ScalarType::F32, rule(false, false)), "-3");
+        assert_eq!(text(1e-5, ScalarType::F64, rule(true, true)), "1e-05");
         // Two shortest texts are equally near.
-        assert_eq!(text(4.78515625, Scalar::F32, rule(false, true)), "4.7851562");
-        assert_eq!(text(4.78515625, Scalar::F64, rule(false, true)), "4.78515625");
-        assert_eq!(text(f64::from(23.959f32), Scalar::F32, rule(true, true)), "23.958999633789062");
+        assert_eq!(text(4.78515625, ScalarType::F32, rule(false, true)), "4.7851562");
+        assert_eq!(text(4.78515625, ScalarType::F64, rule(false, true)), "4.78515625");
+        assert_eq!(text(f64::from(23.959f32), ScalarType::F32, rule(true, true)), "23.958999633789062");
         // The smallest numbers, and a power of two whose shortest text is not the nearest one.
-        assert_eq!(text(f64::from_bits(1), Scalar::F64, rule(true, true)), "5e-324");
-        assert_eq!(text(f64::from(f32::from_bits(1)), Scalar::F32, rule(false, true)), "1e-45");
-        assert_eq!(text(2f64.powi(-44), Scalar::F64, rule(true, true)), "5.684341886080802e-14");
-        assert_eq!(text(1.5e16, Scalar::F64, rule(true, true)), "1.5e+16");
-        assert_eq!(text(12e14, Scalar::F64, rule(true, true)), "1200000000000000.0");
+        assert_eq!(text(f64::from_bits(1), ScalarType::F64, rule(true, true)), "5e-324");
+        assert_eq!(text(f64::from(f32::from_bits(1)), ScalarType::F32, rule(false, true)), "1e-45");
+        assert_eq!(text(2f64.powi(-44), ScalarType::F64, rule(true, true)), "5.684341886080802e-14");
+        assert_eq!(text(1.5e16, ScalarType::F64, rule(true, true)), "1.5e+16");
+        assert_eq!(text(12e14, ScalarType::F64, rule(true, true)), "1200000000000000.0");
     }
 
     /// Comparing the digits as integers gives the same answers as writing the number and comparing texts.
@@ -593,10 +593,10 @@ mod tests {
                 1 => f64::from(f32::from_bits(below(1 << 32) as u32)),
                 _ => below(1000) as f64 / 2f64.powi(below(20) as i32),
             };
-            let (scalar, rule) = ([Scalar::F32, Scalar::F64][below(2)], rules[below(rules.len())]);
+            let (scalar, rule) = ([ScalarType::F32, ScalarType::F64][below(2)], rules[below(rules.len())]);
             let column = Column { scalar, rule };
             let bytes = match scalar {
-                Scalar::F32 => (value as f32).to_le_bytes().to_vec(),
+                ScalarType::F32 => (value as f32).to_le_bytes().to_vec(),
                 _ => value.to_le_bytes().to_vec(),
             };
             let mut writer = NumberWriter::new(Printf { ties_away: below(4) == 0, long_exponent: false });
@@ -624,14 +624,14 @@ mod tests {
     #[test]
     fn integers_of_all_sizes_come_back() {
         for (scalar, token) in [
-            (Scalar::I8, "-128"),
-            (Scalar::U8, "255"),
-            (Scalar::I16, "-32768"),
-            (Scalar::U16, "65535"),
-            (Scalar::I32, "-2147483648"),
-            (Scalar::U32, "4294967295"),
-            (Scalar::I64, "-9223372036854775808"),
-            (Scalar::U64, "18446744073709551615"),
+            (ScalarType::I8, "-128"),
+            (ScalarType::U8, "255"),
+            (ScalarType::I16, "-32768"),
+            (ScalarType::U16, "65535"),
+            (ScalarType::I32, "-2147483648"),
+            (ScalarType::U32, "4294967295"),
+            (ScalarType::I64, "-9223372036854775808"),
+            (ScalarType::U64, "18446744073709551615"),
         ] {
             let mut bytes = Vec::new();
             parse(token, scalar, &mut bytes).unwrap();

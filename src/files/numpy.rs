@@ -5,7 +5,7 @@
 
 use super::field::{Declared, FEWEST_COLUMNS, layout_of, names_coordinates, usual_names};
 use super::{big_endian, by_field, field, widened};
-use crate::scan::{Field, Scalar, ScanFile, Wrapping};
+use crate::scan::{Field, ScalarType, ScanFile, Wrapping};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Arrays of points do not have longer headers.
@@ -130,10 +130,10 @@ pub(super) fn with_point_count(header: &[u8], points: usize) -> Option<Vec<u8>> 
 }
 
 /// The header of a structured array with these fields, of one value each.
-pub(super) fn header(fields: &[(&str, Scalar)], records: usize) -> Vec<u8> {
-    let kind = |scalar: Scalar| match scalar {
-        Scalar::U8 => "|u1".to_owned(),
-        Scalar::I8 => "|i1".to_owned(),
+pub(super) fn header(fields: &[(&str, ScalarType)], records: usize) -> Vec<u8> {
+    let kind = |scalar: ScalarType| match scalar {
+        ScalarType::U8 => "|u1".to_owned(),
+        ScalarType::I8 => "|i1".to_owned(),
         // `u16` becomes `<u2`.
         other => format!("<{}{}", &other.name()[..1], other.size()),
     };
@@ -172,7 +172,7 @@ pub(super) fn header(fields: &[(&str, Scalar)], records: usize) -> Vec<u8> {
 /// The type of a value.
 #[derive(Clone, Copy)]
 struct Kind {
-    scalar: Option<Scalar>,
+    scalar: Option<ScalarType>,
     width: u32,
     is_half: bool,
 }
@@ -204,15 +204,15 @@ impl Orders {
         // Dates have a unit after the size.
         let digits = letters.as_str().split('[').next()?;
         let size: u32 = digits.parse().ok()?;
-        let integers = |of_size: [Scalar; 4]| of_size.into_iter().find(|scalar| scalar.size() == size);
+        let integers = |of_size: [ScalarType; 4]| of_size.into_iter().find(|scalar| scalar.size() == size);
         let scalar = match letter {
-            'f' if size == 2 => Some(Scalar::U16),
-            'f' if size == 4 => Some(Scalar::F32),
-            'f' if size == 8 => Some(Scalar::F64),
-            'i' => Some(integers([Scalar::I8, Scalar::I16, Scalar::I32, Scalar::I64])?),
-            'u' => Some(integers([Scalar::U8, Scalar::U16, Scalar::U32, Scalar::U64])?),
-            'b' if size == 1 => Some(Scalar::U8),
-            'm' | 'M' if size == 8 => Some(Scalar::I64),
+            'f' if size == 2 => Some(ScalarType::U16),
+            'f' if size == 4 => Some(ScalarType::F32),
+            'f' if size == 8 => Some(ScalarType::F64),
+            'i' => Some(integers([ScalarType::I8, ScalarType::I16, ScalarType::I32, ScalarType::I64])?),
+            'u' => Some(integers([ScalarType::U8, ScalarType::U16, ScalarType::U32, ScalarType::U64])?),
+            'b' if size == 1 => Some(ScalarType::U8),
+            'm' | 'M' if size == 8 => Some(ScalarType::I64),
             // Bytes without a known meaning.
             'f' | 'c' | 'S' | 'a' | 'V' => None,
             // Characters of four bytes each.
@@ -385,7 +385,7 @@ mod tests {
         let scan = comes_back("a.npy", array("'>f4'", "False", "(2, 5)", &big));
         assert_eq!((scan.layout.wrapping, scan.cloud.positions[0]), (Wrapping::BigEndian, [1.0, 2.0, 3.0]));
         let scan = comes_back("a.npy", array("'<f8'", "False", "(1, 3)", &[1; 24]));
-        assert_eq!((scan.records, scan.layout.fields[0].scalar), (1, Scalar::F64));
+        assert_eq!((scan.records, scan.layout.fields[0].scalar), (1, ScalarType::F64));
         let mut second = array("'<f4'", "False", "(2, 5)", &body);
         second[6] = 2;
         second.splice(10..10, [0, 0]);
@@ -443,16 +443,16 @@ mod tests {
         let scan = comes_back("a.npy", array(descr, "False", "(2,)", &body));
         let fields: Vec<_> = scan.layout.fields.iter().map(|f| (&f.name[..], f.scalar, f.count)).collect();
         let expected = [
-            ("x", Scalar::F32, 1),
-            ("y", Scalar::F32, 1),
-            ("z", Scalar::F32, 1),
-            ("laser_id", Scalar::U8, 1),
-            ("", Scalar::U8, 3),
-            ("t", Scalar::I64, 1),
-            ("n", Scalar::I16, 2),
-            ("", Scalar::U8, 8),
-            ("half", Scalar::F32, 1),
-            ("ok", Scalar::U8, 1),
+            ("x", ScalarType::F32, 1),
+            ("y", ScalarType::F32, 1),
+            ("z", ScalarType::F32, 1),
+            ("laser_id", ScalarType::U8, 1),
+            ("", ScalarType::U8, 3),
+            ("t", ScalarType::I64, 1),
+            ("n", ScalarType::I16, 2),
+            ("", ScalarType::U8, 8),
+            ("half", ScalarType::F32, 1),
+            ("ok", ScalarType::U8, 1),
         ];
         assert_eq!(fields, expected);
         assert_eq!((scan.records, scan.layout.position), (2, Some([0, 1, 2])));
@@ -527,7 +527,7 @@ mod tests {
 
     #[test]
     fn a_header_says_what_it_is_made_of() {
-        let fields = [("x", Scalar::F32), ("ring", Scalar::U8), ("t", Scalar::I64)];
+        let fields = [("x", ScalarType::F32), ("ring", ScalarType::U8), ("t", ScalarType::I64)];
         let bytes = header(&fields, 3);
         assert!(
             bytes.starts_with(
@@ -538,7 +538,7 @@ mod tests {
         let read = Header::parse(&bytes).unwrap();
         let fields = fields.map(|(name, scalar)| Field::new(name, scalar));
         assert_eq!((&read.fields[..], read.records, read.length), (&fields[..], 3, 128));
-        let many: Vec<_> = (0..4000).map(|_| ("reflectivity", Scalar::U16)).collect();
+        let many: Vec<_> = (0..4000).map(|_| ("reflectivity", ScalarType::U16)).collect();
         let bytes = header(&many, 3);
         assert_eq!((bytes[6], bytes.len() % 64), (2, 0));
         assert_eq!(Header::parse(&bytes).unwrap().fields.len(), 4000);

@@ -4,7 +4,7 @@
 
 use super::field::{Declared, layout_of, next_line};
 use super::{pcd_compressed, places, text_records, widened};
-use crate::scan::{Scalar, ScanFile, Wrapping};
+use crate::scan::{ScalarType, ScanFile, Wrapping};
 
 /// The encodings of the data.
 #[derive(Clone, Copy)]
@@ -90,16 +90,16 @@ fn field<'a>(name: &'a str, size: &str, kind: &str, count: &str) -> Option<Decla
     let size = size.parse().ok().filter(|s| matches!(s, 1 | 2 | 4 | 8))?;
     let count: u32 = count.parse().ok()?;
     let scalar = match (kind, size) {
-        ("I", 1) => Some(Scalar::I8),
-        ("I", 2) => Some(Scalar::I16),
-        ("I", 4) => Some(Scalar::I32),
-        ("I", 8) => Some(Scalar::I64),
-        ("U", 1) => Some(Scalar::U8),
-        ("U", 2) => Some(Scalar::U16),
-        ("U", 4) => Some(Scalar::U32),
-        ("U", 8) => Some(Scalar::U64),
-        ("F", 4) => Some(Scalar::F32),
-        ("F", 8) => Some(Scalar::F64),
+        ("I", 1) => Some(ScalarType::I8),
+        ("I", 2) => Some(ScalarType::I16),
+        ("I", 4) => Some(ScalarType::I32),
+        ("I", 8) => Some(ScalarType::I64),
+        ("U", 1) => Some(ScalarType::U8),
+        ("U", 2) => Some(ScalarType::U16),
+        ("U", 4) => Some(ScalarType::U32),
+        ("U", 8) => Some(ScalarType::U64),
+        ("F", 4) => Some(ScalarType::F32),
+        ("F", 8) => Some(ScalarType::F64),
         // Half precision; in a binary body it is treated as two bytes without a known meaning.
         ("F", _) => None,
         _ => return None,
@@ -139,7 +139,7 @@ mod tests {
         let header = pcd("x y z intensity", "8 8 8 4", "F F F F", "1 1 1 1", 1, "binary");
         let scan = comes_back("a.pcd", [header, vec![1; 28]].concat());
         assert_eq!((scan.records, scan.layout.position, scan.layout.intensity), (1, None, Some(3)));
-        assert_eq!(scan.cloud.channel("y").map(|y| y.field.scalar), Some(Scalar::F64));
+        assert_eq!(scan.cloud.channel("y").map(|y| y.field.scalar), Some(ScalarType::F64));
     }
 
     #[test]

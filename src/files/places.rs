@@ -129,7 +129,7 @@ fn with_padding(placed: &[Placed], stride: usize) -> Vec<Field> {
 #[cfg(test)]
 mod tests {
     use crate::files::tests::{comes_back, pcd};
-    use crate::scan::{Scalar, ScanFile};
+    use crate::scan::{ScalarType, ScanFile};
 
     /// 48-byte records: a structure of x, y, z, intensity, a time and a ring.
     fn body(points: u32) -> Vec<u8> {
@@ -156,7 +156,7 @@ mod tests {
 
     fn is_understood(scan: &ScanFile) {
         assert_eq!((scan.layout.stride(), scan.layout.position_offsets()), (48, Some([0, 4, 8])));
-        assert_eq!(scan.layout.intensity_place(), Some((16, Scalar::F32)));
+        assert_eq!(scan.layout.intensity_place(), Some((16, ScalarType::F32)));
         let places: Vec<_> = scan
             .layout
             .channels()

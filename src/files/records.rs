@@ -6,7 +6,7 @@ use byteorder::{ByteOrder, LittleEndian};
 
 use super::collected;
 use crate::ground::error::{Error, Result};
-use crate::scan::{Channel, Layout, PointCloud, Scalar, ScanFile, Wrapping};
+use crate::scan::{Channel, Layout, PointCloud, ScalarType, ScanFile, Wrapping};
 
 /// Splits a file whose records follow one another from byte `start` on: at most `records` of them, fewer if
 /// the file is shorter. `None` if the layout is not valid.
@@ -67,14 +67,14 @@ pub(super) fn split(mut layout: Layout, body: &[u8]) -> (Layout, PointCloud) {
         records.clone().map(|record| [value(record, x), value(record, y), value(record, z)]).collect()
     });
     let mut intensity: Vec<f32> = match layout.intensity_place() {
-        Some((at, Scalar::F32)) => records.map(|record| value(record, at)).collect(),
-        Some((at, Scalar::U16)) => {
+        Some((at, ScalarType::F32)) => records.map(|record| value(record, at)).collect(),
+        Some((at, ScalarType::U16)) => {
             records.map(|record| LittleEndian::read_u16(&record[at..]).into()).collect()
         }
         Some((at, _)) => records.map(|record| record[at].into()).collect(),
         None => Vec::new(),
     };
-    let is_wide = layout.intensity_place().is_some_and(|(_, scalar)| scalar == Scalar::U16);
+    let is_wide = layout.intensity_place().is_some_and(|(_, scalar)| scalar == ScalarType::U16);
     if is_wide && intensity.iter().any(|&value| value > MOST_INTENSITY) {
         layout.intensity = None;
         intensity.clear();
@@ -181,8 +181,8 @@ fn fill(layout: &Layout, cloud: &PointCloud, records: Range<usize>, body: &mut [
         for (record, value) in body.chunks_exact_mut(stride).zip(&cloud.intensity[records.clone()]) {
             // Rounded intensities need not be whole numbers.
             match scalar {
-                Scalar::F32 => LittleEndian::write_f32(&mut record[at..], *value),
-                Scalar::U16 => LittleEndian::write_u16(&mut record[at..], (value + 0.5) as u16),
+                ScalarType::F32 => LittleEndian::write_f32(&mut record[at..], *value),
+                ScalarType::U16 => LittleEndian::write_u16(&mut record[at..], (value + 0.5) as u16),
                 _ => record[at] = (value + 0.5) as u8,
             }
         }

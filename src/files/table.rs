@@ -4,7 +4,7 @@ use super::field::{
     Declared, FEWEST_COLUMNS, MOST_FIELDS, POSITION, names_coordinates, usual_names, with_underscores,
 };
 use super::text_records::{self, first_line};
-use crate::scan::{Scalar, ScanFile, TextFormat};
+use crate::scan::{ScalarType, ScanFile, TextFormat};
 
 /// Largest number of bytes before the first line of numbers.
 const MOST_BEFORE: usize = 64 << 10;
@@ -84,7 +84,7 @@ pub(super) fn starts_with_names(bytes: &[u8]) -> bool {
 pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let table = Table::find(bytes)?;
     let is_coordinate = |name: &str| POSITION.iter().any(|axis| name.eq_ignore_ascii_case(axis));
-    let parse = |of_coordinates: Option<Scalar>| {
+    let parse = |of_coordinates: Option<ScalarType>| {
         let fields = table.names.iter().map(|name| match of_coordinates {
             Some(scalar) if is_coordinate(name) => {
                 Declared { name, scalar: Some(scalar), width: scalar.size() }
@@ -96,7 +96,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     };
     // Coordinates are floating-point numbers even if all of them are whole, unless doubles cannot hold them
     // exactly.
-    parse(Some(Scalar::F64)).or_else(|| parse(None))
+    parse(Some(ScalarType::F64)).or_else(|| parse(None))
 }
 
 /// The names of columns in a line, which is split like the lines below it.

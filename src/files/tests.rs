@@ -8,8 +8,8 @@ use proptest::prelude::*;
 use super::*;
 use crate::ground::error::Error;
 use crate::scan::{
-    Axis, Channel, Column, Field, Layout, LzfDialect, NumberRule, PointCloud, Scalar, Separator, TextFormat,
-    Widening,
+    Axis, Channel, Column, Field, Layout, LzfDialect, NumberRule, PointCloud, ScalarType, Separator,
+    TextFormat, Widening,
 };
 
 /// Little-endian bytes of float32 values.
@@ -97,14 +97,14 @@ fn files_of_others_have_records_and_come_back() {
 
 /// A file that a damaged stream could have made.
 fn forged(wrapping: Wrapping) -> ScanFile {
-    let fields = ["x", "y", "z", "i"].map(|name| Field::new(name, Scalar::F32)).to_vec();
+    let fields = ["x", "y", "z", "i"].map(|name| Field::new(name, ScalarType::F32)).to_vec();
     let layout = Layout { wrapping, fields, position: Some([0, 1, 2]), intensity: Some(3) };
     let cloud = PointCloud { positions: vec![[f32::NAN; 3]; 2], intensity: vec![1.0; 2], channels: vec![] };
     ScanFile { layout, records: 2, cloud, ..ScanFile::default() }
 }
 
 fn wrappings() -> [Wrapping; 9] {
-    let column = Column { scalar: Scalar::F32, rule: NumberRule::Fixed(40) };
+    let column = Column { scalar: ScalarType::F32, rule: NumberRule::Fixed(40) };
     let decimal = Widening::Decimal(column.rule);
     let format = TextFormat { separator: Separator::Tab, columns: vec![column; 4], ..TextFormat::default() };
     [
@@ -127,7 +127,7 @@ fn files_with_the_same_header_are_compared_field_by_field() {
     };
     // As if padding had been guessed elsewhere.
     let mut like = parse("a.pcd", file("x y z i", 1.0));
-    like.layout = plain_layout(vec![Field::new("x", Scalar::F32), Field::padding(12)]).unwrap();
+    like.layout = plain_layout(vec![Field::new("x", ScalarType::F32), Field::padding(12)]).unwrap();
     let same = parse_like(&like, "b.pcd", file("x y z i", 2.0));
     assert_eq!((same.records, &same.layout, &same.name[..]), (2, &like.layout, "b.pcd"));
     let other = parse_like(&like, "b.pcd", file("x y z j", 2.0));
@@ -224,7 +224,7 @@ fn any_good_file() -> impl Strategy<Value = (String, Vec<u8>)> {
                 ("a.txt".into(), lines.collect::<String>().trim_end().as_bytes().to_vec())
             }
             11 => {
-                let fields = ["x", "y", "z"].map(|name| (name, Scalar::F32));
+                let fields = ["x", "y", "z"].map(|name| (name, ScalarType::F32));
                 let header = numpy::header(&fields, values.len() + 1);
                 ("a.npy".into(), [header, floats(&x)].concat())
             }

@@ -9,7 +9,8 @@ use super::number::{self, NumberWriter, PlainNumber, Survey};
 use super::records;
 use crate::ground::error::Result;
 use crate::scan::{
-    Column, Field, Layout, MAX_DIGITS, NumberRule, Printf, Scalar, ScanFile, Separator, TextFormat, Wrapping,
+    Column, Field, Layout, MAX_DIGITS, NumberRule, Printf, ScalarType, ScanFile, Separator, TextFormat,
+    Wrapping,
 };
 
 /// Splits a file whose body starts at byte `start` and has at most `points` records of these fields, which
@@ -23,7 +24,7 @@ pub(super) fn parse(fields: &[Declared], bytes: &[u8], start: usize, points: u64
     if !(1..=line).contains(&values) {
         return None;
     }
-    let scalars: Vec<Option<Scalar>> =
+    let scalars: Vec<Option<ScalarType>> =
         fields.iter().flat_map(|field| (0..field.count()).map(|_| field.scalar)).collect();
     let is_whole = |found: &Body| found.records as u64 == points || found.rest.is_empty();
     let numbers = |is_padded| Body::of_numbers(body, &scalars, points, is_padded);
@@ -60,7 +61,12 @@ struct Body<'a> {
 
 impl<'a> Body<'a> {
     /// A body in which all values are written as numbers, which spaces may fill up to a width.
-    fn of_numbers(body: &'a [u8], scalars: &[Option<Scalar>], points: u64, is_padded: bool) -> Option<Self> {
+    fn of_numbers(
+        body: &'a [u8],
+        scalars: &[Option<ScalarType>],
+        points: u64,
+        is_padded: bool,
+    ) -> Option<Self> {
         let mut format = TextFormat::of_line(first_line(body)?);
         if is_padded {
             (format.widths, format.space_after) = (vec![0; scalars.len()], false);
@@ -99,8 +105,8 @@ impl<'a> Body<'a> {
 
     /// A body in which the values of one byte are written as such, as C++ streams write characters and old
     /// versions of PCL wrote their fields: any byte, even one that separates values elsewhere.
-    fn with_characters(body: &'a [u8], scalars: &[Option<Scalar>], points: u64) -> Option<Self> {
-        let of_numbers: Vec<Option<Scalar>> =
+    fn with_characters(body: &'a [u8], scalars: &[Option<ScalarType>], points: u64) -> Option<Self> {
+        let of_numbers: Vec<Option<ScalarType>> =
             scalars.iter().copied().filter(|scalar| !is_character(*scalar)).collect();
         let count = scalars.len() - of_numbers.len();
         if count == 0 {
@@ -135,7 +141,7 @@ impl<'a> Body<'a> {
 }
 
 /// Whether a column may be written as characters.
-fn is_character(scalar: Option<Scalar>) -> bool {
+fn is_character(scalar: Option<ScalarType>) -> bool {
     scalar.is_some_and(|scalar| scalar.size() == 1)
 }
 
@@ -150,7 +156,7 @@ struct Characters<'a> {
 impl<'a> Characters<'a> {
     /// Takes the values out of the next line. Returns what follows it; `None` if it is not like the lines
     /// before.
-    fn read_line(&mut self, mut rest: &'a [u8], scalars: &[Option<Scalar>]) -> Option<&'a [u8]> {
+    fn read_line(&mut self, mut rest: &'a [u8], scalars: &[Option<ScalarType>]) -> Option<&'a [u8]> {
         let mut column = 0;
         for (at, &scalar) in scalars.iter().enumerate() {
             if at > 0 {
@@ -212,9 +218,9 @@ impl<'a> Numbers<'a> {
     /// Adds the next number, of this column; `None` if it is not one, or not of this type. `number` is its
     /// text without the spaces that fill it up.
     #[inline]
-    fn push(&mut self, column: usize, text: &'a str, number: &str, scalar: Option<Scalar>) -> Option<()> {
+    fn push(&mut self, column: usize, text: &'a str, number: &str, scalar: Option<ScalarType>) -> Option<()> {
         let plain = PlainNumber::of(number);
-        let scalar = scalar.unwrap_or(Scalar::F64);
+        let scalar = scalar.unwrap_or(ScalarType::F64);
         if plain.is_none() || !scalar.is_float() {
             self.scratch.clear();
             number::parse(number, scalar, &mut self.scratch)?;
@@ -245,7 +251,10 @@ impl<'a> Numbers<'a> {
 
 /// How numbers are printed, and the columns with the values of each. `None` if there are no columns, or if no
 /// rule restores the texts of one.
-fn find_format(scalars: &[Option<Scalar>], numbers: &Numbers) -> Option<(Printf, Vec<Column>, Vec<Vec<u8>>)> {
+fn find_format(
+    scalars: &[Option<ScalarType>],
+    numbers: &Numbers,
+) -> Option<(Printf, Vec<Column>, Vec<Vec<u8>>)> {
     let is_long = |text: &str| {
         let exponent =
             text.split_once('e').map_or("", |(_, exponent)| exponent.trim_start_matches(['+', '-']));
@@ -261,7 +270,7 @@ fn find_format(scalars: &[Option<Scalar>], numbers: &Numbers) -> Option<(Printf,
 
 /// The columns, with the values of each.
 fn find_columns(
-    scalars: &[Option<Scalar>],
+    scalars: &[Option<ScalarType>],
     numbers: &Numbers,
     printf: Printf,
 ) -> Option<(Vec<Column>, Vec<Vec<u8>>)> {
@@ -378,21 +387,21 @@ impl<'f> TextWriter<'f> {
 }
 
 /// The types that an undeclared column may have: the shortest that represents all its numbers is used.
-const ANY: [Scalar; 10] = {
-    use Scalar::*;
+const ANY: [ScalarType; 10] = {
+    use ScalarType::*;
     [U8, I8, U16, I16, U32, I32, U64, I64, F32, F64]
 };
 
 /// The type and rule that restore all these texts, and the values. Doubles of which single precision
 /// preserves every digit are stored as float32: many programs print float32 values as doubles.
 fn find_column<'a>(
-    declared: Option<Scalar>,
+    declared: Option<ScalarType>,
     numbers: impl Iterator<Item = (&'a str, Option<PlainNumber>)> + Clone,
     printf: Printf,
 ) -> Option<(Column, Vec<u8>)> {
     let candidates = match &declared {
         None => &ANY[..],
-        Some(Scalar::F64) => &[Scalar::F32, Scalar::F64],
+        Some(ScalarType::F64) => &[ScalarType::F32, ScalarType::F64],
         Some(scalar) => std::slice::from_ref(scalar),
     };
     candidates.iter().find_map(|&scalar| {
@@ -408,7 +417,7 @@ fn find_column<'a>(
 
 /// The first rule that restores all these texts from these values.
 fn find_rule<'t, 'v>(
-    scalar: Scalar,
+    scalar: ScalarType,
     pairs: impl Iterator<Item = ((&'t str, Option<PlainNumber>), &'v [u8])> + Clone,
     printf: Printf,
 ) -> Option<Column> {
@@ -499,7 +508,7 @@ impl TextFormat {
         let mut value = Vec::new();
         self.texts(line)?.try_fold(0, |count, text| {
             value.clear();
-            number::parse(self.without_padding(text), Scalar::F64, &mut value).map(|()| count + 1)
+            number::parse(self.without_padding(text), ScalarType::F64, &mut value).map(|()| count + 1)
         })
     }
 
@@ -507,7 +516,7 @@ impl TextFormat {
     fn read_line<'a>(
         &self,
         line: &'a str,
-        scalars: &[Option<Scalar>],
+        scalars: &[Option<ScalarType>],
         numbers: &mut Numbers<'a>,
     ) -> Option<()> {
         let before = numbers.lines();
@@ -725,7 +734,7 @@ mod tests {
     }
 
     /// The text of the values with this type and rule, as a C library prints it.
-    fn text_of(scalar: Scalar, rule: NumberRule, printf: Printf, bytes: Vec<u8>) -> Vec<u8> {
+    fn text_of(scalar: ScalarType, rule: NumberRule, printf: Printf, bytes: Vec<u8>) -> Vec<u8> {
         let size = scalar.size();
         let records = bytes.len() / size as usize;
         let columns = vec![Column { scalar, rule }];
@@ -751,7 +760,7 @@ mod tests {
             let values = any.into_iter().chain(tame.into_iter().map(|n| f64::from(n) / 64.0));
             let doubles: Vec<u8> = values.clone().flat_map(f64::to_le_bytes).collect();
             let singles: Vec<u8> = values.flat_map(|v| (v as f32).to_le_bytes()).collect();
-            for (scalar, bytes) in [(Scalar::F64, doubles), (Scalar::F32, singles)] {
+            for (scalar, bytes) in [(ScalarType::F64, doubles), (ScalarType::F32, singles)] {
                 let scan = comes_back("a.pcd", text_of(scalar, rule, printf, bytes));
                 prop_assert!(!scan.is_opaque(), "{:?} {}", rule, String::from_utf8_lossy(&scan.prefix));
             }

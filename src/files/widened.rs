@@ -9,7 +9,7 @@ use super::number::{self, NumberWriter};
 use super::records::Parts;
 use crate::ground::error::{Error, Result};
 use crate::ground::rounding::round_ties_even;
-use crate::scan::{Axis, Column, Field, Layout, NumberRule, Scalar, ScanFile, Widening, Wrapping};
+use crate::scan::{Axis, Column, Field, Layout, NumberRule, ScalarType, ScanFile, Widening, Wrapping};
 
 /// Splits a file as [`plain_file`](super::records::plain_file) does, but doubles that float32 determines
 /// become float32: x, y and z only all three. So do the `u16` of fields that `halves` says are half-precision
@@ -31,7 +31,7 @@ pub(super) fn parse(
 
 /// Splits a file of records with these fields, of which the first three are coordinates as 16-bit integers.
 pub(super) fn parse_steps(axis: Axis, others: &[Field], bytes: &[u8]) -> Option<ScanFile> {
-    let coordinates = ["x", "y", "z"].map(|name| Field::new(name, Scalar::F32));
+    let coordinates = ["x", "y", "z"].map(|name| Field::new(name, ScalarType::F32));
     let fields = [&coordinates[..], others].concat();
     let width: usize = others.iter().map(Field::width).sum();
     let parts = Parts::of(bytes, 0, 6 + width, u64::MAX)?;
@@ -73,7 +73,7 @@ pub(super) fn narrowed(fields: &[Field], halves: &[bool], body: &[u8]) -> Option
     let scalar = |(field, widening): (&Field, &Widening)| match widening {
         Widening::None => field.clone(),
         Widening::Exact | Widening::Half | Widening::Decimal(_) | Widening::Steps(_) => {
-            Field { scalar: Scalar::F32, ..field.clone() }
+            Field { scalar: ScalarType::F32, ..field.clone() }
         }
     };
     let mut narrowed = Vec::with_capacity(body.len());
@@ -105,7 +105,7 @@ fn widenings(fields: &[Field], body: &[u8]) -> Vec<Widening> {
             let own = at..at + field.width();
             at = own.end;
             let values = body.chunks_exact(stride).flat_map(|record| record[own.clone()].as_chunks().0);
-            if field.scalar != Scalar::F64 {
+            if field.scalar != ScalarType::F64 {
                 Widening::None
             } else if values.clone().all(|value| widen(&narrow(value)) == *value) {
                 Widening::Exact
@@ -238,9 +238,9 @@ impl Decimals {
     fn widen(&mut self, value: &[u8; 4], rule: NumberRule) -> Result<[u8; 8]> {
         self.text.clear();
         self.wide.clear();
-        self.writer.write(value, Column { scalar: Scalar::F32, rule }, &mut self.text)?;
+        self.writer.write(value, Column { scalar: ScalarType::F32, rule }, &mut self.text)?;
         let text = std::str::from_utf8(&self.text).ok();
-        let parsed = text.and_then(|text| number::parse(text, Scalar::F64, &mut self.wide));
+        let parsed = text.and_then(|text| number::parse(text, ScalarType::F64, &mut self.wide));
         let wide = parsed.and_then(|()| self.wide.first_chunk());
         wide.copied().ok_or_else(|| Error::corrupt("the text of a widened number is not a number"))
     }
@@ -282,7 +282,7 @@ pub(super) fn write(body: &[u8], layout: &Layout, widenings: &[Widening]) -> Res
 #[cfg(test)]
 mod tests {
     use crate::files::tests::{comes_back, pcd};
-    use crate::scan::{NumberRule, Scalar, ScanFile, Widening, Wrapping};
+    use crate::scan::{NumberRule, ScalarType, ScanFile, Widening, Wrapping};
 
     fn exact(is_widened: [bool; 5]) -> Vec<Widening> {
         is_widened.map(|is| if is { Widening::Exact } else { Widening::None }).to_vec()
@@ -333,7 +333,7 @@ mod tests {
         assert_eq!(scan.layout.wrapping, Wrapping::Widened(exact([true, true, true, true, false])));
         assert_eq!((scan.records, scan.layout.stride(), scan.suffix.len()), (2, 3 * 4 + 2 * 4 + 8, 4));
         assert_eq!(scan.cloud.positions[0], [1.5, -0.0, f32::INFINITY]);
-        assert_eq!(scan.cloud.channel("time").unwrap().field.scalar, Scalar::F64);
+        assert_eq!(scan.cloud.channel("time").unwrap().field.scalar, ScalarType::F64);
     }
 
     #[test]

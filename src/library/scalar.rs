@@ -5,7 +5,7 @@ use crate::scan;
 /// The types that the values of a channel may have: integers of 8 to 64 bits, `f32` and `f64`.
 pub trait Scalar: Copy + sealed::Value {
     /// The type as a value.
-    const TYPE: scan::Scalar;
+    const TYPE: scan::ScalarType;
 }
 
 /// Keeps other crates from implementing [`Scalar`].
@@ -31,9 +31,9 @@ macro_rules! scalars {
 
         impl Values {
             /// Values from their little-endian bytes; an incomplete value at the end is ignored.
-            pub fn from_bytes(scalar: scan::Scalar, bytes: &[u8]) -> Self {
+            pub fn from_bytes(scalar: scan::ScalarType, bytes: &[u8]) -> Self {
                 match scalar {
-                    $(scan::Scalar::$variant => Values::$variant(
+                    $(scan::ScalarType::$variant => Values::$variant(
                         bytes.as_chunks().0.iter().map(|value| $scalar::from_le_bytes(*value)).collect(),
                     ),)*
                 }
@@ -49,9 +49,9 @@ macro_rules! scalars {
             }
 
             /// The type of the values.
-            pub fn scalar(&self) -> scan::Scalar {
+            pub fn scalar(&self) -> scan::ScalarType {
                 match self {
-                    $(Values::$variant(_) => scan::Scalar::$variant,)*
+                    $(Values::$variant(_) => scan::ScalarType::$variant,)*
                 }
             }
 
@@ -78,7 +78,7 @@ macro_rules! scalars {
             }
 
             impl Scalar for $scalar {
-                const TYPE: scan::Scalar = scan::Scalar::$variant;
+                const TYPE: scan::ScalarType = scan::ScalarType::$variant;
             }
         )*
     };

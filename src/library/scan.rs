@@ -70,7 +70,7 @@ pub struct ChannelInfo<'s> {
     /// Its name.
     pub name: &'s str,
     /// The type of its values.
-    pub scalar: scan::Scalar,
+    pub scalar: scan::ScalarType,
     /// Number of values for each point, one after the other: 1, except for fields of files that have more.
     pub count: u32,
 }
@@ -286,10 +286,10 @@ fn intensity_place(layout: &Layout) -> Option<(usize, &Field)> {
 }
 
 /// Intensities, which are coded as float32, converted to the type of their field.
-fn intensity_values(scalar: scan::Scalar, values: Vec<f32>) -> Values {
+fn intensity_values(scalar: scan::ScalarType, values: Vec<f32>) -> Values {
     match scalar {
-        scan::Scalar::U8 => Values::U8(values.into_iter().map(|value| (value + 0.5) as u8).collect()),
-        scan::Scalar::U16 => Values::U16(values.into_iter().map(|value| (value + 0.5) as u16).collect()),
+        scan::ScalarType::U8 => Values::U8(values.into_iter().map(|value| (value + 0.5) as u8).collect()),
+        scan::ScalarType::U16 => Values::U16(values.into_iter().map(|value| (value + 0.5) as u16).collect()),
         _ => Values::F32(values),
     }
 }
@@ -306,7 +306,7 @@ fn intensities(values: Values) -> Vec<f32> {
 
 /// The layout of points in memory: that of a file without a header whose records have the same fields.
 fn layout_in_memory(has_positions: bool, channels: &[TypedChannel]) -> Layout {
-    let positions = POSITION.map(|name| Field::new(name, scan::Scalar::F32));
+    let positions = POSITION.map(|name| Field::new(name, scan::ScalarType::F32));
     let positions = positions.into_iter().filter(|_| has_positions);
     let others = channels.iter().map(|TypedChannel { name, count, values }| Field {
         name: name.clone(),

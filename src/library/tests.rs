@@ -9,7 +9,7 @@ use super::*;
 use crate::container::FrameKind;
 use crate::frame::EncoderConfig;
 use crate::ground::error::{Error, Limits, Result};
-use crate::scan::Scalar as ScalarType;
+use crate::scan::ScalarType;
 use crate::stream::{FrameInput, encode_live};
 
 /// Three scans of a simulated drive: file names and points.

@@ -5,7 +5,7 @@ use byteorder::{ByteOrder, LittleEndian};
 
 use crate::ground::float_order::{bits32, bits64, ordered32, ordered64};
 use crate::ground::rounding::round_ties_even;
-use crate::scan::Scalar;
+use crate::scan::ScalarType;
 
 /// How values become integers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -50,7 +50,7 @@ impl Scale {
     }
 
     /// The scale that suits nearly all of these values best: the coarsest grid on which they lie.
-    pub fn of(scalar: Scalar, values: &[u8]) -> Self {
+    pub fn of(scalar: ScalarType, values: &[u8]) -> Self {
         /// Approximate number of values that are tested before all are.
         const SAMPLES: usize = 200;
         /// At most one value in this number may lie off the grid.
@@ -66,12 +66,12 @@ impl Scale {
             scale.grid(scalar).misses(values, most) <= most
         };
         let highest = match scalar {
-            Scalar::F32 => {
+            ScalarType::F32 => {
                 highest(values.as_chunks().0.iter().map(|value| f32::from_le_bytes(*value).into()))
             }
             _ => highest(values.as_chunks().0.iter().map(|value| f64::from_le_bytes(*value))),
         };
-        let resolution = highest * if scalar == Scalar::F32 { 1.2e-7 } else { 2.3e-16 };
+        let resolution = highest * if scalar == ScalarType::F32 { 1.2e-7 } else { 2.3e-16 };
         let mut scales: Vec<Scale> =
             (1..=FORMS * EXPONENTS + LEVELS.len() as u8).map(|code| Scale { code }).collect();
         scales.retain(|scale| scale.step() > resolution);
@@ -107,7 +107,7 @@ impl Scale {
     }
 
     /// The values of a type on this scale.
-    pub fn grid(self, scalar: Scalar) -> NumberGrid {
+    pub fn grid(self, scalar: ScalarType) -> NumberGrid {
         let (form, exponent) = self.form().map_or((None, 0), |(form, exponent)| (Some(form), exponent));
         NumberGrid { scalar, form, power: power(exponent), step: self.step() }
     }
@@ -116,7 +116,7 @@ impl Scale {
 /// The values of a type on a [`Scale`].
 #[derive(Clone, Copy, Debug)]
 pub struct NumberGrid {
-    scalar: Scalar,
+    scalar: ScalarType,
     form: Option<Form>,
     /// 10^k.
     power: f64,
@@ -132,7 +132,7 @@ impl NumberGrid {
 
     /// [`integer`](Self::integer) of a value of the type of the grid.
     #[inline(always)]
-    fn integer_of(&self, scalar: Scalar, value: &[u8]) -> Option<i64> {
+    fn integer_of(&self, scalar: ScalarType, value: &[u8]) -> Option<i64> {
         let Some(form) = self.form else { return Some(place(scalar, value)) };
         let number = number(scalar, value);
         let count = rounded(number / self.step);
@@ -143,7 +143,7 @@ impl NumberGrid {
         let integer = count as i64;
         let again = self.number_of(form, integer);
         let is_same = match scalar {
-            Scalar::F32 => (again as f32).to_bits() == (number as f32).to_bits(),
+            ScalarType::F32 => (again as f32).to_bits() == (number as f32).to_bits(),
             _ => again.to_bits() == number.to_bits(),
         };
         is_same.then_some(integer)
@@ -154,10 +154,18 @@ impl NumberGrid {
     fn each(&self, values: &[u8], mut take: impl FnMut(Option<i64>) -> bool) {
         // The loop is compiled for each of the most common types.
         match self.scalar {
-            Scalar::U8 => values.chunks_exact(1).all(|value| take(self.integer_of(Scalar::U8, value))),
-            Scalar::U16 => values.chunks_exact(2).all(|value| take(self.integer_of(Scalar::U16, value))),
-            Scalar::F32 => values.chunks_exact(4).all(|value| take(self.integer_of(Scalar::F32, value))),
-            Scalar::F64 => values.chunks_exact(8).all(|value| take(self.integer_of(Scalar::F64, value))),
+            ScalarType::U8 => {
+                values.chunks_exact(1).all(|value| take(self.integer_of(ScalarType::U8, value)))
+            }
+            ScalarType::U16 => {
+                values.chunks_exact(2).all(|value| take(self.integer_of(ScalarType::U16, value)))
+            }
+            ScalarType::F32 => {
+                values.chunks_exact(4).all(|value| take(self.integer_of(ScalarType::F32, value)))
+            }
+            ScalarType::F64 => {
+                values.chunks_exact(8).all(|value| take(self.integer_of(ScalarType::F64, value)))
+            }
             scalar => values.chunks_exact(scalar.size() as usize).all(|value| take(self.integer(value))),
         };
     }
@@ -193,7 +201,7 @@ impl NumberGrid {
         let Some(form) = self.form else { return write_place(self.scalar, integer, value) };
         let number = self.number_of(form, integer);
         match self.scalar {
-            Scalar::F32 => LittleEndian::write_f32(value, number as f32),
+            ScalarType::F32 => LittleEndian::write_f32(value, number as f32),
             _ => LittleEndian::write_f64(value, number),
         }
     }
@@ -216,8 +224,8 @@ impl NumberGrid {
         match (self.form, self.scalar) {
             // Processors differ in the bits of a NaN that they compute.
             _ if number.is_nan() => 0,
-            (None, Scalar::F32) => ordered32((number as f32).to_bits()),
-            (None, Scalar::F64) => ordered64(number.to_bits()),
+            (None, ScalarType::F32) => ordered32((number as f32).to_bits()),
+            (None, ScalarType::F64) => ordered64(number.to_bits()),
             _ => rounded(number / self.step) as i64,
         }
     }
@@ -242,50 +250,50 @@ fn power(exponent: i32) -> f64 {
 }
 
 /// The value as a number.
-pub fn number(scalar: Scalar, value: &[u8]) -> f64 {
+pub fn number(scalar: ScalarType, value: &[u8]) -> f64 {
     match scalar {
-        Scalar::F32 => LittleEndian::read_f32(value).into(),
-        Scalar::F64 => LittleEndian::read_f64(value),
-        Scalar::U64 => LittleEndian::read_u64(value) as f64,
+        ScalarType::F32 => LittleEndian::read_f32(value).into(),
+        ScalarType::F64 => LittleEndian::read_f64(value),
+        ScalarType::U64 => LittleEndian::read_u64(value) as f64,
         _ => place(scalar, value) as f64,
     }
 }
 
 /// Writes the value of a type that is nearest to a number.
-pub fn write_number(scalar: Scalar, number: f64, value: &mut [u8]) {
+pub fn write_number(scalar: ScalarType, number: f64, value: &mut [u8]) {
     match scalar {
         // Processors differ in the bits of a NaN that is converted to another precision.
-        Scalar::F32 if number.is_nan() => LittleEndian::write_u32(value, 0x7fc0_0000),
-        Scalar::F64 if number.is_nan() => LittleEndian::write_u64(value, 0x7ff8_0000_0000_0000),
-        Scalar::F32 => LittleEndian::write_f32(value, number as f32),
-        Scalar::F64 => LittleEndian::write_f64(value, number),
-        Scalar::U64 => LittleEndian::write_u64(value, number as u64),
+        ScalarType::F32 if number.is_nan() => LittleEndian::write_u32(value, 0x7fc0_0000),
+        ScalarType::F64 if number.is_nan() => LittleEndian::write_u64(value, 0x7ff8_0000_0000_0000),
+        ScalarType::F32 => LittleEndian::write_f32(value, number as f32),
+        ScalarType::F64 => LittleEndian::write_f64(value, number),
+        ScalarType::U64 => LittleEndian::write_u64(value, number as u64),
         _ => write_place(scalar, number as i64, value),
     }
 }
 
 /// An integer as it is; a floating-point value as its rank among all numbers, 0 being the rank of 0.
 #[inline(always)]
-fn place(scalar: Scalar, value: &[u8]) -> i64 {
+fn place(scalar: ScalarType, value: &[u8]) -> i64 {
     match scalar {
-        Scalar::F32 => ordered32(LittleEndian::read_u32(value)),
-        Scalar::F64 => ordered64(LittleEndian::read_u64(value)),
-        Scalar::U8 => value[0].into(),
-        Scalar::I8 => (value[0] as i8).into(),
-        Scalar::U16 => LittleEndian::read_u16(value).into(),
-        Scalar::I16 => LittleEndian::read_i16(value).into(),
-        Scalar::U32 => LittleEndian::read_u32(value).into(),
-        Scalar::I32 => LittleEndian::read_i32(value).into(),
-        Scalar::U64 | Scalar::I64 => LittleEndian::read_i64(value),
+        ScalarType::F32 => ordered32(LittleEndian::read_u32(value)),
+        ScalarType::F64 => ordered64(LittleEndian::read_u64(value)),
+        ScalarType::U8 => value[0].into(),
+        ScalarType::I8 => (value[0] as i8).into(),
+        ScalarType::U16 => LittleEndian::read_u16(value).into(),
+        ScalarType::I16 => LittleEndian::read_i16(value).into(),
+        ScalarType::U32 => LittleEndian::read_u32(value).into(),
+        ScalarType::I32 => LittleEndian::read_i32(value).into(),
+        ScalarType::U64 | ScalarType::I64 => LittleEndian::read_i64(value),
     }
 }
 
 /// The inverse of [`place`].
 #[inline]
-fn write_place(scalar: Scalar, place: i64, value: &mut [u8]) {
+fn write_place(scalar: ScalarType, place: i64, value: &mut [u8]) {
     let bits = match scalar {
-        Scalar::F32 => u64::from(bits32(place)),
-        Scalar::F64 => bits64(place),
+        ScalarType::F32 => u64::from(bits32(place)),
+        ScalarType::F64 => bits64(place),
         _ => place as u64,
     };
     // Copies of a size known at compile time are single moves.
@@ -310,21 +318,21 @@ mod tests {
     #[test]
     fn grids_are_found() {
         let n = || (0..1000u32).map(|n| f64::from(n * 7 % 1001));
-        let find = |value: &dyn Fn(f64) -> f32| Scale::of(Scalar::F32, &singles(n().map(value))).step();
+        let find = |value: &dyn Fn(f64) -> f32| Scale::of(ScalarType::F32, &singles(n().map(value))).step();
         assert_eq!(find(&|n| n as f32), 1.0);
         assert_eq!(find(&|n| (n / 100.0) as f32), 0.01);
         assert_eq!(find(&|n| n as f32 * 0.0025f32), 0.0025);
         assert!((find(&|n| (n * 0.01 * std::f64::consts::PI / 180.0) as f32) - 1.745e-4).abs() < 1e-6);
         let times: Vec<u8> = n().flat_map(|n| ((1.6e15 + n) / 1e6).to_le_bytes()).collect();
-        assert_eq!(Scale::of(Scalar::F64, &times).step(), 1e-6);
+        assert_eq!(Scale::of(ScalarType::F64, &times).step(), 1e-6);
         let rough = singles((1..1000).map(|n| libm::sqrtf(n as f32)));
-        assert_eq!(Scale::of(Scalar::F32, &rough), Scale::PLACE);
+        assert_eq!(Scale::of(ScalarType::F32, &rough), Scale::PLACE);
     }
 
     proptest! {
         #[test]
         fn every_value_has_a_place(bits: u64, number in 0usize..10) {
-            let scalar = Scalar::from_number(number as u8).unwrap();
+            let scalar = ScalarType::from_number(number as u8).unwrap();
             let value = &bits.to_le_bytes()[..scalar.size() as usize];
             let mut again = [0; 8];
             write_place(scalar, place(scalar, value), &mut again);
@@ -333,7 +341,7 @@ mod tests {
 
         #[test]
         fn what_is_on_a_grid_comes_back(bits: u64, small in -1000i64..1000, code in 0u8..=64, double: bool) {
-            let scalar = if double { Scalar::F64 } else { Scalar::F32 };
+            let scalar = if double { ScalarType::F64 } else { ScalarType::F32 };
             let grid = Scale::from_code(code).unwrap().grid(scalar);
             let size = scalar.size() as usize;
             let mut value = bits.to_le_bytes();

@@ -6,7 +6,7 @@ use crate::entropy::{
 use crate::ground::grid::Grid;
 use crate::ground::random::Rng;
 use crate::models::IntensityScale;
-use crate::scan::{Channel, Field, Scalar, squared_distance};
+use crate::scan::{Channel, Field, ScalarType, squared_distance};
 use crate::scanner::CoordinateGrid;
 use proptest::prelude::*;
 
@@ -306,7 +306,7 @@ fn points_are_predicted_along_their_trails() {
         |points: &[([f32; 3], u8)]| points.iter().map(|(position, _)| *position).collect::<Vec<_>>();
     let rings = |points: &[([f32; 3], u8)]| {
         let bytes = points.iter().map(|(_, laser)| *laser).collect();
-        [Channel { field: Field::new("ring", Scalar::U8), bytes }]
+        [Channel { field: Field::new("ring", ScalarType::U8), bytes }]
     };
     let trailed = size_of_points(&positions(&in_order));
     let bits = 8.0 * trailed as f64 / in_order.len() as f64;

@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use crate::files::{big_endian_records, plain_layout, plain_records};
 use crate::ground::error::{Error, Result};
-use crate::scan::{Field, Layout, MAX_STRIDE, Scalar, ScanFile, Wrapping};
+use crate::scan::{Field, Layout, MAX_STRIDE, ScalarType, ScanFile, Wrapping};
 
 /// The format that compressed messages name.
 pub const FORMAT: &str = "lidarpc";
@@ -216,8 +216,8 @@ impl<'m> Cloud<'m> {
 }
 
 /// The type of a field, by its number in the message.
-fn scalar(datatype: u8) -> Option<Scalar> {
-    use Scalar::{F32, F64, I8, I16, I32, U8, U16, U32};
+fn scalar(datatype: u8) -> Option<ScalarType> {
+    use ScalarType::{F32, F64, I8, I16, I32, U8, U16, U32};
     [I8, U8, I16, U16, I32, U32, F32, F64].get(usize::from(datatype.checked_sub(1)?)).copied()
 }
 

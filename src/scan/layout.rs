@@ -1,7 +1,7 @@
 //! The fields of a file's records and how they are wrapped, and the serialised form of both.
 //! FORMAT.md 8.1.
 
-use super::text_format::{NumberRule, Scalar, TextFormat};
+use super::text_format::{NumberRule, ScalarType, TextFormat};
 use crate::ground::error::{Error, Result};
 use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -18,20 +18,20 @@ pub struct Field {
     /// Its name, without white space; empty for padding.
     pub name: String,
     /// The type of its values.
-    pub scalar: Scalar,
+    pub scalar: ScalarType,
     /// Number of values, at least 1.
     pub count: u32,
 }
 
 impl Field {
     /// A field of one value.
-    pub fn new(name: &str, scalar: Scalar) -> Self {
+    pub fn new(name: &str, scalar: ScalarType) -> Self {
         Field { name: name.to_owned(), scalar, count: 1 }
     }
 
     /// Padding: this many bytes of no known meaning.
     pub fn padding(bytes: u32) -> Self {
-        Field { name: String::new(), scalar: Scalar::U8, count: bytes }
+        Field { name: String::new(), scalar: ScalarType::U8, count: bytes }
     }
 
     /// Number of bytes that it takes in a record.
@@ -185,7 +185,7 @@ impl Layout {
     }
 
     /// Byte offset and type of the intensity. Meaningful only for a valid layout.
-    pub fn intensity_place(&self) -> Option<(usize, Scalar)> {
+    pub fn intensity_place(&self) -> Option<(usize, ScalarType)> {
         let field = self.intensity?;
         Some((self.offset(field), self.fields.get(field as usize)?.scalar))
     }
@@ -231,11 +231,11 @@ impl Layout {
         let roles: Vec<u32> = self.position.into_iter().flatten().chain(self.intensity).collect();
         let is_twice = (1..roles.len()).any(|at| roles[..at].contains(&roles[at]));
         check(!is_twice, "a field has two roles")?;
-        let suits = |role: u32, types: &[Scalar]| {
+        let suits = |role: u32, types: &[ScalarType]| {
             let field = self.fields.get(role as usize);
             field.is_some_and(|field| field.count == 1 && types.contains(&field.scalar))
         };
-        let positions_suit = self.position.into_iter().flatten().all(|role| suits(role, &[Scalar::F32]));
+        let positions_suit = self.position.into_iter().flatten().all(|role| suits(role, &[ScalarType::F32]));
         check(positions_suit, "a coordinate of another type")?;
         let intensity_suits = self.intensity.is_none_or(|role| suits(role, &INTENSITY_TYPES));
         check(intensity_suits, "an intensity of another type")?;
@@ -252,9 +252,9 @@ impl Layout {
                 let is_by_record = matches!(self.wrapping, Wrapping::Widened(_));
                 let suit = |(field, widening): (&Field, &Widening)| match widening {
                     Widening::None => true,
-                    Widening::Exact | Widening::Half => field.scalar == Scalar::F32,
-                    Widening::Decimal(rule) => field.scalar == Scalar::F32 && rule.suits(Scalar::F32),
-                    Widening::Steps(_) => field.scalar == Scalar::F32 && is_by_record,
+                    Widening::Exact | Widening::Half => field.scalar == ScalarType::F32,
+                    Widening::Decimal(rule) => field.scalar == ScalarType::F32 && rule.suits(ScalarType::F32),
+                    Widening::Steps(_) => field.scalar == ScalarType::F32 && is_by_record,
                 };
                 let is_valid = |widening: &Widening| match widening {
                     Widening::Steps(axis) => axis.is_valid(),
@@ -378,13 +378,13 @@ impl Layout {
 }
 
 /// The types that an intensity may have: those whose values float32 represents exactly.
-pub const INTENSITY_TYPES: [Scalar; 3] = [Scalar::F32, Scalar::U8, Scalar::U16];
+pub const INTENSITY_TYPES: [ScalarType; 3] = [ScalarType::F32, ScalarType::U8, ScalarType::U16];
 
 fn read_field(input: &mut &[u8]) -> Result<Field> {
     let length = read_number(input)? as usize;
     let name = input.split_off(..length).ok_or_else(|| Error::corrupt("record layout: cut short"))?;
     let name = std::str::from_utf8(name).map_err(|_| Error::corrupt("record layout: no name for a field"))?;
-    let scalar = Scalar::from_number(read_byte(input)?)
+    let scalar = ScalarType::from_number(read_byte(input)?)
         .ok_or_else(|| Error::corrupt("record layout: unknown type"))?;
     Ok(Field { name: name.to_owned(), scalar, count: read_number(input)? })
 }
@@ -455,7 +455,7 @@ mod tests {
     fn kitti() -> Layout {
         Layout {
             wrapping: Wrapping::Plain,
-            fields: ["x", "y", "z", "intensity"].map(|name| Field::new(name, Scalar::F32)).to_vec(),
+            fields: ["x", "y", "z", "intensity"].map(|name| Field::new(name, ScalarType::F32)).to_vec(),
             position: Some([0, 1, 2]),
             intensity: Some(3),
         }
@@ -496,7 +496,7 @@ mod tests {
         assert_eq!(round_trip(&kitti()), 2 + 3 * 4 + 12 + 4);
         let wrapping = Wrapping::PcdCompressed { lzf: LzfDialect::Very16 };
         round_trip(&Layout { wrapping, ..with(&[Field::padding(296)]) });
-        let fields = [Field::new("time", Scalar::F64), Field::new("class\u{e9}", Scalar::U8)];
+        let fields = [Field::new("time", ScalarType::F64), Field::new("class\u{e9}", ScalarType::U8)];
         round_trip(&Layout { wrapping: Wrapping::BigEndian, ..with(&fields) });
         let axes = [1e3, 1e2, 0.5].map(|per_metre| Axis { per_metre, offset: -per_metre });
         round_trip(&Layout { wrapping: Wrapping::Scaled(axes), ..kitti() });
@@ -506,15 +506,15 @@ mod tests {
         round_trip(&Layout { wrapping: Wrapping::ByField(widenings), ..kitti() });
         let shortest = NumberRule::Shortest { double: true, point_zero: false };
         let columns = vec![
-            Column { scalar: Scalar::F32, rule: NumberRule::Significant(8) },
-            Column { scalar: Scalar::F64, rule: shortest },
-            Column { scalar: Scalar::I16, rule: NumberRule::Integer },
-            Column { scalar: Scalar::I16, rule: NumberRule::Integer },
+            Column { scalar: ScalarType::F32, rule: NumberRule::Significant(8) },
+            Column { scalar: ScalarType::F64, rule: shortest },
+            Column { scalar: ScalarType::I16, rule: NumberRule::Integer },
+            Column { scalar: ScalarType::I16, rule: NumberRule::Integer },
         ];
         let fields = vec![
-            Field::new("i", Scalar::F32),
-            Field::new("t", Scalar::F64),
-            Field { count: 2, ..Field::new("", Scalar::I16) },
+            Field::new("i", ScalarType::F32),
+            Field::new("t", ScalarType::F64),
+            Field { count: 2, ..Field::new("", ScalarType::I16) },
         ];
         round_trip(&Layout { wrapping: text(columns), fields, position: None, intensity: Some(0) });
     }
@@ -524,12 +524,12 @@ mod tests {
         assert_eq!((kitti().stride(), kitti().channel_bytes()), (16, 0));
         let fields = [
             Field::padding(4),
-            Field::new("z", Scalar::F32),
-            Field::new("y", Scalar::F32),
-            Field::new("x", Scalar::F32),
-            Field { count: 2, ..Field::new("normal", Scalar::F64) },
-            Field::new("i", Scalar::U16),
-            Field::new("ring", Scalar::U8),
+            Field::new("z", ScalarType::F32),
+            Field::new("y", ScalarType::F32),
+            Field::new("x", ScalarType::F32),
+            Field { count: 2, ..Field::new("normal", ScalarType::F64) },
+            Field::new("i", ScalarType::U16),
+            Field::new("ring", ScalarType::U8),
         ];
         let layout = Layout {
             fields: fields.to_vec(),
@@ -542,25 +542,25 @@ mod tests {
         assert_eq!(channels, [(0, &fields[0]), (16, &fields[4]), (34, &fields[6])]);
         assert_eq!((layout.stride(), layout.channel_bytes()), (35, 21));
         assert_eq!(layout.position_offsets(), Some([12, 8, 4]));
-        assert_eq!(layout.intensity_place(), Some((32, Scalar::U16)));
+        assert_eq!(layout.intensity_place(), Some((32, ScalarType::U16)));
     }
 
     #[test]
     fn impossible_layouts_are_refused() {
-        let integers = Column { scalar: Scalar::F32, rule: NumberRule::Integer };
-        let digits = Column { scalar: Scalar::F32, rule: NumberRule::Fixed(41) };
+        let integers = Column { scalar: ScalarType::F32, rule: NumberRule::Integer };
+        let digits = Column { scalar: ScalarType::F32, rule: NumberRule::Fixed(41) };
         let bad = [
             with(&[Field::padding(MAX_STRIDE)]),
-            with(&[Field { count: u32::MAX, ..Field::new("a", Scalar::F64) }]),
+            with(&[Field { count: u32::MAX, ..Field::new("a", ScalarType::F64) }]),
             with(&[Field::padding(0)]),
-            with(&[Field::new("a b", Scalar::U8)]),
-            with(&[Field::new(&"a".repeat(MAX_NAME + 1), Scalar::U8)]),
+            with(&[Field::new("a b", ScalarType::U8)]),
+            with(&[Field::new(&"a".repeat(MAX_NAME + 1), ScalarType::U8)]),
             Layout { position: Some([0, 1, 4]), ..kitti() },
             Layout { position: Some([2, 1, 2]), ..kitti() },
             Layout { intensity: Some(0), ..kitti() },
             Layout { intensity: Some(u32::MAX - 1), ..kitti() },
-            Layout { intensity: Some(4), ..with(&[Field::new("i", Scalar::F64)]) },
-            Layout { position: Some([0, 1, 4]), ..with(&[Field::new("z", Scalar::F64)]) },
+            Layout { intensity: Some(4), ..with(&[Field::new("i", ScalarType::F64)]) },
+            Layout { position: Some([0, 1, 4]), ..with(&[Field::new("z", ScalarType::F64)]) },
             Layout { fields: vec![], ..kitti() },
             Layout { wrapping: text(vec![]), ..Layout::default() },
             Layout { wrapping: Wrapping::BigEndian, ..Layout::default() },
@@ -573,7 +573,7 @@ mod tests {
             Layout { wrapping: Wrapping::Widened(vec![]), ..Layout::default() },
             Layout {
                 wrapping: Wrapping::Widened(vec![Widening::Exact; 5]),
-                ..with(&[Field::new("t", Scalar::F64)])
+                ..with(&[Field::new("t", ScalarType::F64)])
             },
             Layout { wrapping: scaled(0.0, 0.0), ..kitti() },
             Layout { wrapping: scaled(-1.0, 0.0), ..kitti() },

@@ -5,7 +5,7 @@ pub mod sorted;
 mod text_format;
 
 pub use layout::{Axis, Field, Layout, LzfDialect, MAX_NAME, MAX_STRIDE, Widening, Wrapping};
-pub use text_format::{Column, MAX_DIGITS, Number, NumberRule, Printf, Scalar, Separator, TextFormat};
+pub use text_format::{Column, MAX_DIGITS, Number, NumberRule, Printf, ScalarType, Separator, TextFormat};
 
 /// The points of one scan, in the order of the file. Every bit of every value counts:
 /// NaN payloads and the sign of zero are kept.

@@ -160,11 +160,11 @@ impl Slopes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scan::{Field, Scalar};
+    use crate::scan::{Field, ScalarType};
 
     fn channel(keys: &[u32]) -> Channel {
         let bytes = keys.iter().flat_map(|key| f64::from(*key).to_le_bytes()).collect();
-        Channel { field: Field::new("time", Scalar::F64), bytes }
+        Channel { field: Field::new("time", ScalarType::F64), bytes }
     }
 
     /// The permutation by GCC 12's `std::sort` of 40 records with five keys of eight records each.

@@ -19,7 +19,7 @@ pub enum Number {
 /// The type of a value in a record. All types are little-endian in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Scalar {
+pub enum ScalarType {
     /// Signed 8-bit integer.
     I8,
     /// Unsigned 8-bit integer.
@@ -42,20 +42,20 @@ pub enum Scalar {
     F64,
 }
 
-impl Scalar {
+impl ScalarType {
     /// Every scalar, at the index of its number in the serialised form.
-    const ALL: [Scalar; 10] = {
-        use Scalar::*;
+    const ALL: [ScalarType; 10] = {
+        use ScalarType::*;
         [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64]
     };
 
     /// Bytes of one value.
     pub fn size(self) -> u32 {
         match self {
-            Scalar::I8 | Scalar::U8 => 1,
-            Scalar::I16 | Scalar::U16 => 2,
-            Scalar::I32 | Scalar::U32 | Scalar::F32 => 4,
-            Scalar::I64 | Scalar::U64 | Scalar::F64 => 8,
+            ScalarType::I8 | ScalarType::U8 => 1,
+            ScalarType::I16 | ScalarType::U16 => 2,
+            ScalarType::I32 | ScalarType::U32 | ScalarType::F32 => 4,
+            ScalarType::I64 | ScalarType::U64 | ScalarType::F64 => 8,
         }
     }
 
@@ -87,22 +87,22 @@ impl Scalar {
             bytes.first_chunk().map(|bytes| number(make(*bytes).into()))
         }
         match self {
-            Scalar::I8 => of(bytes, i8::from_le_bytes, Number::Integer),
-            Scalar::U8 => of(bytes, u8::from_le_bytes, Number::Integer),
-            Scalar::I16 => of(bytes, i16::from_le_bytes, Number::Integer),
-            Scalar::U16 => of(bytes, u16::from_le_bytes, Number::Integer),
-            Scalar::I32 => of(bytes, i32::from_le_bytes, Number::Integer),
-            Scalar::U32 => of(bytes, u32::from_le_bytes, Number::Integer),
-            Scalar::I64 => of(bytes, i64::from_le_bytes, Number::Integer),
-            Scalar::U64 => of(bytes, u64::from_le_bytes, Number::Integer),
-            Scalar::F32 => of(bytes, f32::from_le_bytes, Number::Float),
-            Scalar::F64 => of(bytes, f64::from_le_bytes, Number::Float),
+            ScalarType::I8 => of(bytes, i8::from_le_bytes, Number::Integer),
+            ScalarType::U8 => of(bytes, u8::from_le_bytes, Number::Integer),
+            ScalarType::I16 => of(bytes, i16::from_le_bytes, Number::Integer),
+            ScalarType::U16 => of(bytes, u16::from_le_bytes, Number::Integer),
+            ScalarType::I32 => of(bytes, i32::from_le_bytes, Number::Integer),
+            ScalarType::U32 => of(bytes, u32::from_le_bytes, Number::Integer),
+            ScalarType::I64 => of(bytes, i64::from_le_bytes, Number::Integer),
+            ScalarType::U64 => of(bytes, u64::from_le_bytes, Number::Integer),
+            ScalarType::F32 => of(bytes, f32::from_le_bytes, Number::Float),
+            ScalarType::F64 => of(bytes, f64::from_le_bytes, Number::Float),
         }
     }
 
     /// True for the two floating-point types.
     pub fn is_float(self) -> bool {
-        matches!(self, Scalar::F32 | Scalar::F64)
+        matches!(self, ScalarType::F32 | ScalarType::F64)
     }
 }
 
@@ -153,7 +153,7 @@ impl NumberRule {
         })
     }
 
-    pub(super) fn suits(self, scalar: Scalar) -> bool {
+    pub(super) fn suits(self, scalar: ScalarType) -> bool {
         match self {
             NumberRule::Integer => !scalar.is_float(),
             NumberRule::Fixed(digits) | NumberRule::Scientific(digits) => {
@@ -170,7 +170,7 @@ impl NumberRule {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Column {
     /// The type of the values in a record.
-    pub scalar: Scalar,
+    pub scalar: ScalarType,
     /// How they are written as text.
     pub rule: NumberRule,
 }
@@ -317,7 +317,7 @@ impl TextFormat {
         for _ in 0..columns {
             let (&[kind, parameter], rest) = input.split_first_chunk().ok_or_else(damaged)?;
             *input = rest;
-            let scalar = *Scalar::ALL.get(usize::from(kind & 15)).ok_or_else(damaged)?;
+            let scalar = *ScalarType::ALL.get(usize::from(kind & 15)).ok_or_else(damaged)?;
             let rule = NumberRule::from_bytes(kind >> 4, parameter).ok_or_else(damaged)?;
             format.columns.push(Column { scalar, rule });
         }
@@ -335,7 +335,7 @@ mod tests {
 
     #[test]
     fn scalars_are_numbered_by_their_place() {
-        for (number, scalar) in Scalar::ALL.iter().enumerate() {
+        for (number, scalar) in ScalarType::ALL.iter().enumerate() {
             assert_eq!(*scalar as usize, number);
         }
     }

@@ -11,15 +11,15 @@ use crate::edit::{Named, cat, cut};
 use crate::frame::*;
 use crate::ground::error::{Error, Limits, Result};
 use crate::scan::{
-    Channel, Column, Field, Layout, NumberRule, PointCloud, Scalar, ScanFile, TextFormat, Wrapping,
+    Channel, Column, Field, Layout, NumberRule, PointCloud, ScalarType, ScanFile, TextFormat, Wrapping,
 };
 use crate::study::synth::{SynthConfig, drive};
 
 #[test]
 fn no_more_of_a_file_is_written_than_its_header_says() {
     const RECORDS: usize = 1 << 22;
-    let field = Field::new("v", Scalar::F64);
-    let columns = vec![Column { scalar: Scalar::F64, rule: NumberRule::Fixed(40) }];
+    let field = Field::new("v", ScalarType::F64);
+    let columns = vec![Column { scalar: ScalarType::F64, rule: NumberRule::Fixed(40) }];
     let wrapping = Wrapping::Text(TextFormat { columns, ..TextFormat::default() });
     // Each value takes 350 characters: 1.5 GB in all.
     let bytes = 1e308f64.to_le_bytes().repeat(RECORDS);

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use lidarpc::internals::scan::sorted::file_order;
-use lidarpc::internals::scan::{Channel, Field, Scalar};
+use lidarpc::internals::scan::{Channel, Field, ScalarType};
 use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Origin, Recipe, Timing};
 use lidarpc::internals::scanner::{CoordinateGrid, Echo, RangeImage, Return};
 
@@ -137,7 +137,7 @@ pub fn moved_by_stamps(points: &Points, times: &[f64], rotation: [f64; 3], trans
 /// The records as left by a program that sorts them by time although they are already in that order.
 pub fn sorted<T: Copy>(records: &[T], times: &[f64]) -> Vec<T> {
     let bytes = times.iter().flat_map(|time| time.to_le_bytes()).collect();
-    let keys = Channel { field: Field::new("timestamp", Scalar::F64), bytes };
+    let keys = Channel { field: Field::new("timestamp", ScalarType::F64), bytes };
     file_order(&keys).into_iter().map(|record| records[record as usize]).collect()
 }
 

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use byteorder::{ByteOrder, LittleEndian};
 
 use crate::files::field::{self, INTENSITY, POSITION};
-use crate::scan::{Field, Layout, Scalar, ScanFile};
+use crate::scan::{Field, Layout, ScalarType, ScanFile};
 
 /// One value of a converted record.
 #[derive(Clone, Debug)]
@@ -13,7 +13,7 @@ pub struct Column {
     /// Its name.
     pub name: String,
     /// Its type.
-    pub scalar: Scalar,
+    pub scalar: ScalarType,
     origin: Origin,
 }
 
@@ -23,7 +23,7 @@ enum Origin {
     /// The bytes at this offset of the original record, unchanged.
     At(usize),
     /// The number of this type at this offset, rounded to float32.
-    Number(usize, Scalar),
+    Number(usize, ScalarType),
     /// No original value; the result is 0.
     Nowhere,
 }
@@ -60,10 +60,10 @@ pub fn of_scan(scan: &ScanFile) -> Option<Vec<Column>> {
 pub fn of_kitti(mut columns: Vec<Column>) -> Option<Vec<Column>> {
     let intensity = columns.iter().find(|column| column.name == INTENSITY).map(|column| column.as_float32());
     columns.truncate(POSITION.len());
-    if columns.iter().any(|column| column.scalar != Scalar::F32) {
+    if columns.iter().any(|column| column.scalar != ScalarType::F32) {
         return None;
     }
-    let missing = Column { name: INTENSITY.to_owned(), scalar: Scalar::F32, origin: Origin::Nowhere };
+    let missing = Column { name: INTENSITY.to_owned(), scalar: ScalarType::F32, origin: Origin::Nowhere };
     columns.push(intensity.unwrap_or(missing));
     Some(columns)
 }
@@ -71,10 +71,10 @@ pub fn of_kitti(mut columns: Vec<Column>) -> Option<Vec<Column>> {
 impl Column {
     fn as_float32(&self) -> Column {
         let origin = match self.origin {
-            Origin::At(at) if self.scalar != Scalar::F32 => Origin::Number(at, self.scalar),
+            Origin::At(at) if self.scalar != ScalarType::F32 => Origin::Number(at, self.scalar),
             other => other,
         };
-        Column { scalar: Scalar::F32, origin, name: self.name.clone() }
+        Column { scalar: ScalarType::F32, origin, name: self.name.clone() }
     }
 }
 
@@ -123,14 +123,14 @@ fn in_order(mut columns: Vec<Column>) -> Option<Vec<Column>> {
 }
 
 /// The number in these little-endian bytes.
-fn number(scalar: Scalar, bytes: &[u8]) -> f64 {
+fn number(scalar: ScalarType, bytes: &[u8]) -> f64 {
     match scalar {
-        Scalar::F32 => LittleEndian::read_f32(bytes).into(),
-        Scalar::F64 => LittleEndian::read_f64(bytes),
-        Scalar::U8 | Scalar::U16 | Scalar::U32 | Scalar::U64 => {
+        ScalarType::F32 => LittleEndian::read_f32(bytes).into(),
+        ScalarType::F64 => LittleEndian::read_f64(bytes),
+        ScalarType::U8 | ScalarType::U16 | ScalarType::U32 | ScalarType::U64 => {
             LittleEndian::read_uint(bytes, bytes.len()) as f64
         }
-        Scalar::I8 | Scalar::I16 | Scalar::I32 | Scalar::I64 => {
+        ScalarType::I8 | ScalarType::I16 | ScalarType::I32 | ScalarType::I64 => {
             LittleEndian::read_int(bytes, bytes.len()) as f64
         }
     }

@@ -4,7 +4,7 @@
 //! Format" (1994).
 
 use super::columns::Column;
-use crate::scan::Scalar;
+use crate::scan::ScalarType;
 
 /// A PCD header of version 0.7: one row of points.
 pub fn pcd(columns: &[Column], points: usize) -> String {
@@ -14,9 +14,9 @@ pub fn pcd(columns: &[Column], points: usize) -> String {
     };
     let kind = |column: &Column| {
         match column.scalar {
-            Scalar::F32 | Scalar::F64 => "F",
-            Scalar::I8 | Scalar::I16 | Scalar::I32 | Scalar::I64 => "I",
-            Scalar::U8 | Scalar::U16 | Scalar::U32 | Scalar::U64 => "U",
+            ScalarType::F32 | ScalarType::F64 => "F",
+            ScalarType::I8 | ScalarType::I16 | ScalarType::I32 | ScalarType::I64 => "I",
+            ScalarType::U8 | ScalarType::U16 | ScalarType::U32 | ScalarType::U64 => "U",
         }
         .to_owned()
     };
@@ -45,15 +45,15 @@ pub fn csv(columns: &[Column]) -> String {
 }
 
 /// The original type names of 1994, which all readers support.
-fn ply_type(scalar: Scalar) -> &'static str {
+fn ply_type(scalar: ScalarType) -> &'static str {
     match scalar {
-        Scalar::I8 => "char",
-        Scalar::U8 => "uchar",
-        Scalar::I16 => "short",
-        Scalar::U16 => "ushort",
-        Scalar::I32 | Scalar::I64 => "int",
-        Scalar::U32 | Scalar::U64 => "uint",
-        Scalar::F32 => "float",
-        Scalar::F64 => "double",
+        ScalarType::I8 => "char",
+        ScalarType::U8 => "uchar",
+        ScalarType::I16 => "short",
+        ScalarType::U16 => "ushort",
+        ScalarType::I32 | ScalarType::I64 => "int",
+        ScalarType::U32 | ScalarType::U64 => "uint",
+        ScalarType::F32 => "float",
+        ScalarType::F64 => "double",
     }
 }

@@ -3,7 +3,7 @@
 use byteorder::{BigEndian, ByteOrder, LittleEndian};
 
 use crate::files::field::{Declared, next_line};
-use crate::scan::Scalar;
+use crate::scan::ScalarType;
 
 /// How values are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,9 +37,9 @@ pub struct Element {
 /// A property of an element.
 #[derive(Clone, Copy, Debug)]
 enum Property {
-    Scalar(Scalar),
+    Scalar(ScalarType),
     /// A list: its length, of the first type, then that many values of the second.
-    List(Scalar, Scalar),
+    List(ScalarType, ScalarType),
 }
 
 /// The part of the header that is being read.
@@ -103,14 +103,14 @@ impl Encoding {
     }
 
     /// A whole number in binary; `None` if the value is not whole, or negative.
-    fn number(self, scalar: Scalar, bytes: &[u8]) -> Option<usize> {
+    fn number(self, scalar: ScalarType, bytes: &[u8]) -> Option<usize> {
         let width = bytes.len();
         let number = match (self, scalar) {
-            (_, Scalar::F32 | Scalar::F64) => return None,
-            (Encoding::BigEndian, Scalar::I8 | Scalar::I16 | Scalar::I32 | Scalar::I64) => {
+            (_, ScalarType::F32 | ScalarType::F64) => return None,
+            (Encoding::BigEndian, ScalarType::I8 | ScalarType::I16 | ScalarType::I32 | ScalarType::I64) => {
                 BigEndian::read_int(bytes, width).try_into().ok()?
             }
-            (_, Scalar::I8 | Scalar::I16 | Scalar::I32 | Scalar::I64) => {
+            (_, ScalarType::I8 | ScalarType::I16 | ScalarType::I32 | ScalarType::I64) => {
                 LittleEndian::read_int(bytes, width).try_into().ok()?
             }
             (Encoding::BigEndian, _) => BigEndian::read_uint(bytes, width),
@@ -163,16 +163,16 @@ pub fn skip(element: &Element, encoding: Encoding, body: &[u8]) -> Option<usize>
     Some(body.len() - rest.len())
 }
 
-fn scalar(kind: &str) -> Option<Scalar> {
+fn scalar(kind: &str) -> Option<ScalarType> {
     Some(match kind {
-        "char" | "int8" => Scalar::I8,
-        "uchar" | "uint8" => Scalar::U8,
-        "short" | "int16" => Scalar::I16,
-        "ushort" | "uint16" => Scalar::U16,
-        "int" | "int32" => Scalar::I32,
-        "uint" | "uint32" => Scalar::U32,
-        "float" | "float32" => Scalar::F32,
-        "double" | "float64" => Scalar::F64,
+        "char" | "int8" => ScalarType::I8,
+        "uchar" | "uint8" => ScalarType::U8,
+        "short" | "int16" => ScalarType::I16,
+        "ushort" | "uint16" => ScalarType::U16,
+        "int" | "int32" => ScalarType::I32,
+        "uint" | "uint32" => ScalarType::U32,
+        "float" | "float32" => ScalarType::F32,
+        "double" | "float64" => ScalarType::F64,
         _ => return None,
     })
 }

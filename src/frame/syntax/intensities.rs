@@ -19,7 +19,7 @@ use crate::models::{
     IntensityScale, IntensityTokens, PACKED_INTENSITY_CONTEXTS, PointTrail, RecordContext,
     code_packed_intensities,
 };
-use crate::scan::{Channel, Field, Scalar};
+use crate::scan::{Channel, Field, ScalarType};
 
 /// The models of intensities.
 #[derive(Clone, Default)]
@@ -129,7 +129,7 @@ impl IntensityModels {
             ..RecordContext::default()
         };
         let bytes = coded.iter().flat_map(|&index| values[index].to_le_bytes()).collect();
-        let mut channels = [Channel { field: Field::new("intensity", Scalar::F32), bytes }];
+        let mut channels = [Channel { field: Field::new("intensity", ScalarType::F32), bytes }];
         // One column, whose image is no larger than the range image.
         self.rough.code(coder, &mut channels, &context, compressors, u64::MAX)?;
         let [Channel { bytes, .. }] = channels;

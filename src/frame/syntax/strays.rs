@@ -12,7 +12,7 @@ use crate::frame::sections::SectionCoder;
 use crate::ground::error::Result;
 use crate::models::channels::{Compressed, code_compressed};
 use crate::models::{Analysis, PointModel, PointTrail, TrailSizes};
-use crate::scan::{Channel, Scalar};
+use crate::scan::{Channel, ScalarType};
 use crate::scanner::CoordinateGrid;
 
 /// The models of strays.
@@ -66,7 +66,7 @@ impl StrayModels {
                 false => Vec::new(),
             };
             let likeness = LazyCell::new(|| Trial::likeness(&bytes, positions.len()));
-            let compress = |most| Compressed::shortest(&bytes, Scalar::F32, WIDTH, compressors, most);
+            let compress = |most| Compressed::shortest(&bytes, ScalarType::F32, WIDTH, compressors, most);
             if may_compress && self.trial.has_won(|| *likeness) {
                 compressed = compress(usize::MAX);
             }
@@ -90,7 +90,7 @@ impl StrayModels {
             return Ok(self.points.code(coder, lattice, positions, &analysis));
         }
         let mut bytes = vec![0; WIDTH * positions.len()];
-        code_compressed(coder, compressed, Scalar::F32, WIDTH, &mut bytes)?;
+        code_compressed(coder, compressed, ScalarType::F32, WIDTH, &mut bytes)?;
         if !C::ENCODES {
             for (position, values) in positions.iter_mut().zip(bytes.chunks_exact(WIDTH)) {
                 *position = std::array::from_fn(|axis| LittleEndian::read_f32(&values[4 * axis..]));

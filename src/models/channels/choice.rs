@@ -12,7 +12,7 @@ use super::rules::{Rule, RuleState};
 use super::{Sources, is_constant, may_be_key};
 use crate::entropy::ArithmeticEncoder;
 use crate::models::numbers::{Scale, number};
-use crate::scan::Scalar;
+use crate::scan::ScalarType;
 
 /// Number of records that are coded to choose what predicts them.
 const SAMPLE: usize = 6000;
@@ -86,7 +86,7 @@ fn middle(records: usize, count: usize) -> Range<usize> {
 
 impl ColumnModel {
     /// Chooses how to code a column.
-    pub fn choose(&self, sources: &Sources, scalar: Scalar, values: &[u8]) -> Choice {
+    pub fn choose(&self, sources: &Sources, scalar: ScalarType, values: &[u8]) -> Choice {
         let size = scalar.size() as usize;
         let records = values.len() / size;
         if is_constant(values, size) {
@@ -157,7 +157,7 @@ impl ColumnModel {
         &self,
         plain: Integers,
         sources: &Sources,
-        scalar: Scalar,
+        scalar: ScalarType,
         values: &[u8],
     ) -> Vec<Plan> {
         /// Sizes of parts are accurate to within one part in this number.
@@ -179,7 +179,7 @@ impl ColumnModel {
 
     /// A plan by neighbours, if the column was last coded by one of that kind: they suit the same columns in
     /// all frames.
-    fn same_kind(&self, plain: Integers, scalar: Scalar, values: &[u8]) -> Option<Plan> {
+    fn same_kind(&self, plain: Integers, scalar: ScalarType, values: &[u8]) -> Option<Plan> {
         match self.last_plan()? {
             Plan::Levels(_) => levels_plan(plain, scalar, values),
             Plan::Image(_) => image_plan(plain, scalar, values),
@@ -189,7 +189,13 @@ impl ColumnModel {
 
     /// The plan that was the best of all in an earlier frame, if it does as well now: trying all of them
     /// takes many times as long as coding the column.
-    fn tried_plan(&self, plain: Integers, part: &Sources, scalar: Scalar, values: &[u8]) -> Option<Integers> {
+    fn tried_plan(
+        &self,
+        plain: Integers,
+        part: &Sources,
+        scalar: ScalarType,
+        values: &[u8],
+    ) -> Option<Integers> {
         /// Up to this factor, more bytes count as equally good.
         const MORE: f64 = 1.02;
         let Tried { plan, bytes } = self.tried.filter(|tried| tried.plan.scale == plain.scale)?;
@@ -206,7 +212,7 @@ impl ColumnModel {
         &self,
         plan: Integers,
         sources: &Sources,
-        scalar: Scalar,
+        scalar: ScalarType,
         values: &[u8],
     ) -> std::result::Result<Integers, Integers> {
         let is_of_image = matches!(plan.rule, Some(Rule::Column | Rule::Tick));
@@ -230,7 +236,7 @@ impl ColumnModel {
         &self,
         plain: Integers,
         part: &Sources,
-        scalar: Scalar,
+        scalar: ScalarType,
         values: &[u8],
     ) -> Option<(Integers, bool)> {
         /// At most one in this number of integers breaks a rule that nearly all follow.
@@ -294,7 +300,7 @@ impl ColumnModel {
         plain: Integers,
         ruled: Option<Integers>,
         part: &Sources,
-        scalar: Scalar,
+        scalar: ScalarType,
         values: &[u8],
     ) -> (Integers, usize) {
         /// In bytes: if a sample takes no more than this, no better plan is sought.
@@ -332,7 +338,7 @@ impl ColumnModel {
     }
 
     /// Size of the coded column, in bytes.
-    pub fn size_of(&self, plan: &Plan, sources: &Sources, scalar: Scalar, values: &[u8]) -> usize {
+    pub fn size_of(&self, plan: &Plan, sources: &Sources, scalar: ScalarType, values: &[u8]) -> usize {
         let mut encoder = ArithmeticEncoder::default();
         let coded = self.clone().code(&mut encoder, plan, sources, scalar, &mut values.to_vec());
         if coded.is_ok() { encoder.finish().len() } else { usize::MAX }
@@ -343,7 +349,7 @@ impl ColumnModel {
 fn misses(
     plan: &Integers,
     sources: &Sources,
-    scalar: Scalar,
+    scalar: ScalarType,
     integers: &[Option<i64>],
     most: usize,
 ) -> Option<usize> {
@@ -385,7 +391,12 @@ fn count_misses(
 
 /// Whether the geometry of a plan predicts enough integers better than those before them do: coding a sample
 /// to find out takes much longer.
-fn geometry_may_help(plan: &Integers, sources: &Sources, scalar: Scalar, integers: &[Option<i64>]) -> bool {
+fn geometry_may_help(
+    plan: &Integers,
+    sources: &Sources,
+    scalar: ScalarType,
+    integers: &[Option<i64>],
+) -> bool {
     /// Better predictions must save at least one in this number of the bits of all differences.
     const ENOUGH: u32 = 16;
     let Ok(places) = Places::new(plan, sources, scalar) else { return false };
@@ -443,7 +454,7 @@ fn likely_lag(size: usize, values: &[u8]) -> u32 {
 }
 
 /// Whether all values equal those of a source.
-fn is_same(sources: &Sources, source: usize, scalar: Scalar, values: &[u8]) -> bool {
+fn is_same(sources: &Sources, source: usize, scalar: ScalarType, values: &[u8]) -> bool {
     let size = scalar.size() as usize;
     sources
         .values(source)
@@ -454,7 +465,7 @@ fn is_same(sources: &Sources, source: usize, scalar: Scalar, values: &[u8]) -> b
 /// The plan to code values as levels, if they are few.
 fn levels_plan(
     Integers { scale, has_exceptions, .. }: Integers,
-    scalar: Scalar,
+    scalar: ScalarType,
     values: &[u8],
 ) -> Option<Plan> {
     Palette::of(integers(scale, scalar, values))?;
@@ -464,7 +475,7 @@ fn levels_plan(
 /// The plan to code values as integers of an image, if they are not too large.
 fn image_plan(
     Integers { scale, has_exceptions, .. }: Integers,
-    scalar: Scalar,
+    scalar: ScalarType,
     values: &[u8],
 ) -> Option<Plan> {
     let (mut divisor, mut most) = (0, 0);
@@ -483,7 +494,7 @@ fn image_plan(
 }
 
 /// The integers of those values that are on a scale.
-fn integers(scale: Scale, scalar: Scalar, values: &[u8]) -> impl Iterator<Item = i64> {
+fn integers(scale: Scale, scalar: ScalarType, values: &[u8]) -> impl Iterator<Item = i64> {
     let grid = scale.grid(scalar);
     values.chunks_exact(scalar.size() as usize).filter_map(move |value| grid.integer(value))
 }

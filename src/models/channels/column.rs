@@ -13,7 +13,7 @@ use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::models::numbers::{NumberGrid, Scale, number, write_number};
-use crate::scan::Scalar;
+use crate::scan::ScalarType;
 
 /// Adaptive models of a column.
 #[derive(Clone, Default)]
@@ -55,7 +55,7 @@ impl ColumnModel {
         coder: &mut C,
         plan: &Plan,
         sources: &Sources,
-        scalar: Scalar,
+        scalar: ScalarType,
         values: &mut [u8],
     ) -> Result<()> {
         let size = scalar.size() as usize;
@@ -104,7 +104,7 @@ impl ColumnModel {
         coder: &mut C,
         plan: Image,
         context: &RecordContext,
-        scalar: Scalar,
+        scalar: ScalarType,
         values: &mut [u8],
     ) -> Result<()> {
         let ColumnModel { image, off, .. } = self;
@@ -125,7 +125,7 @@ impl ColumnModel {
         coder: &mut C,
         plan: Levels,
         context: &RecordContext,
-        scalar: Scalar,
+        scalar: ScalarType,
         values: &mut [u8],
     ) -> Result<()> {
         let grid = plan.scale.grid(scalar);
@@ -146,7 +146,7 @@ impl ColumnModel {
         coder: &mut C,
         plan: Integers,
         sources: &Sources,
-        scalar: Scalar,
+        scalar: ScalarType,
         values: &mut [u8],
     ) -> Result<()> {
         let places = Places::new(&plan, sources, scalar)?;
@@ -195,7 +195,7 @@ fn code_by_rule<C: BitCoder, const KIND: u8>(
     model: &mut RuleModel,
     off: OffGrid,
     places: &Places,
-    scalar: Scalar,
+    scalar: ScalarType,
     values: &mut [u8],
 ) {
     let rule = rule.of_kind::<KIND>();
@@ -226,7 +226,7 @@ fn known_integers<C: BitCoder>(grid: &NumberGrid, values: &[u8]) -> Vec<Option<i
 fn code_each<C: BitCoder>(
     coder: &mut C,
     off: OffGrid,
-    scalar: Scalar,
+    scalar: ScalarType,
     integers: &[Option<i64>],
     values: &mut [u8],
     mut code: impl FnMut(&mut C, usize, Option<i64>) -> Option<i64>,
@@ -258,7 +258,7 @@ pub struct Places<'a> {
 impl<'a> Places<'a> {
     /// # Errors
     /// If the channel of the plan's keys does not exist.
-    pub fn new(plan: &Integers, sources: &'a Sources, scalar: Scalar) -> Result<Self> {
+    pub fn new(plan: &Integers, sources: &'a Sources, scalar: ScalarType) -> Result<Self> {
         let (keys, grid, context) = (keys(plan.key, sources)?, plan.scale.grid(scalar), sources.context);
         let columns = if plan.rule == Some(Rule::Tick) { &context.ticks } else { &context.columns };
         Ok(Places { keys, columns, geometry: plan.geometry, context, grid })
@@ -278,7 +278,13 @@ impl<'a> Places<'a> {
 
 impl OffModel {
     /// Codes whether a value is off the grid and, if so, its rank among all numbers.
-    fn code<C: BitCoder>(&mut self, coder: &mut C, scalar: Scalar, is_off: bool, value: &mut [u8]) -> bool {
+    fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        scalar: ScalarType,
+        is_off: bool,
+        value: &mut [u8],
+    ) -> bool {
         if !self.is_off.code(coder, is_off) {
             return false;
         }
@@ -312,7 +318,7 @@ fn keys<'a>(key: u16, sources: &'a Sources) -> Result<Cow<'a, [u32]>> {
 }
 
 /// Converts a number to the nearest value of another type.
-pub fn convert(type_of: Scalar, from: &[u8], scalar: Scalar, to: &mut [u8]) {
+pub fn convert(type_of: ScalarType, from: &[u8], scalar: ScalarType, to: &mut [u8]) {
     match type_of == scalar {
         true => to.copy_from_slice(from),
         false => write_number(scalar, number(type_of, from), to),

@@ -3,7 +3,7 @@
 use crate::backend::{self, Compressors, LZMA, ZSTD, may_lzma_pay};
 use crate::entropy::{BitCoder, IntegerModel};
 use crate::ground::error::{Error, Result};
-use crate::scan::Scalar;
+use crate::scan::ScalarType;
 
 /// How the bytes of records are arranged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,7 +21,7 @@ impl Arrangement {
     pub const ALL: [Arrangement; 3] = [Arrangement::Records, Arrangement::Planes, Arrangement::Differences];
 
     /// Arranges records of `width` bytes with values of this type.
-    pub fn apply(self, bytes: &[u8], scalar: Scalar, width: usize) -> Vec<u8> {
+    pub fn apply(self, bytes: &[u8], scalar: ScalarType, width: usize) -> Vec<u8> {
         match self {
             Arrangement::Records => bytes.to_vec(),
             Arrangement::Planes => planes(bytes, width),
@@ -39,7 +39,7 @@ impl Arrangement {
     }
 
     /// The inverse of [`apply`](Self::apply).
-    pub fn undo(self, arranged: &[u8], scalar: Scalar, width: usize, bytes: &mut [u8]) {
+    pub fn undo(self, arranged: &[u8], scalar: ScalarType, width: usize, bytes: &mut [u8]) {
         if self == Arrangement::Records {
             bytes.copy_from_slice(arranged);
             return;
@@ -79,7 +79,7 @@ impl Compressed {
     /// is small anyway.
     pub fn shortest(
         bytes: &[u8],
-        scalar: Scalar,
+        scalar: ScalarType,
         width: usize,
         compressors: Compressors,
         most: usize,
@@ -132,7 +132,7 @@ impl Compressed {
 pub fn code_compressed<C: BitCoder>(
     coder: &mut C,
     compressed: Option<Compressed>,
-    scalar: Scalar,
+    scalar: ScalarType,
     width: usize,
     bytes: &mut [u8],
 ) -> Result<()> {
@@ -185,7 +185,7 @@ mod tests {
     proptest! {
         #[test]
         fn arrangements_are_undone(values: Vec<u8>, number in 0u8..10, count in 1usize..4) {
-            let scalar = Scalar::from_number(number).unwrap();
+            let scalar = ScalarType::from_number(number).unwrap();
             let width = scalar.size() as usize * count;
             let bytes = &values[..values.len() / width * width];
             for arrangement in Arrangement::ALL {

@@ -26,7 +26,7 @@ use super::ByteModel;
 use crate::backend::{Compressors, Trial};
 use crate::entropy::{ArithmeticEncoder, BitCoder};
 use crate::ground::error::{Error, Result};
-use crate::scan::{Channel, Field, Scalar};
+use crate::scan::{Channel, Field, ScalarType};
 
 /// Fields with more values than this are coded as bytes.
 const MOST_ELEMENTS: usize = 8;
@@ -253,9 +253,9 @@ enum Values<'a> {
 
 impl Values<'_> {
     /// Their type.
-    fn scalar(&self) -> Scalar {
+    fn scalar(&self) -> ScalarType {
         match self {
-            Values::CoordinateGrid(..) | Values::Intensities(_) => Scalar::F32,
+            Values::CoordinateGrid(..) | Values::Intensities(_) => ScalarType::F32,
             Values::Of(channel) => channel.field.scalar,
         }
     }
@@ -287,7 +287,7 @@ impl Values<'_> {
 
     /// Passes each value, converted to another type, to `take` until that refuses one. Returns whether it
     /// took all.
-    fn all_as(&self, scalar: Scalar, mut take: impl FnMut(usize, &[u8]) -> bool) -> bool {
+    fn all_as(&self, scalar: ScalarType, mut take: impl FnMut(usize, &[u8]) -> bool) -> bool {
         let (from, size) = (self.scalar(), scalar.size() as usize);
         let mut value = [0; 8];
         (0..self.len()).all(|record| {
@@ -318,7 +318,7 @@ struct ChannelCoder<'m> {
     trial: &'m mut Trial,
     bytes: &'m mut ByteModel,
     width: usize,
-    scalar: Scalar,
+    scalar: ScalarType,
     compressors: Compressors,
 }
 
@@ -467,7 +467,7 @@ impl ChannelCoder<'_> {
 }
 
 /// Splits records into the values of each element.
-fn split(bytes: &[u8], scalar: Scalar, count: usize) -> impl Iterator<Item = Cow<'_, [u8]>> {
+fn split(bytes: &[u8], scalar: ScalarType, count: usize) -> impl Iterator<Item = Cow<'_, [u8]>> {
     let size = scalar.size() as usize;
     (0..count).map(move |at| match count {
         1 => Cow::Borrowed(bytes),
@@ -491,7 +491,7 @@ fn repeat(bytes: &mut [u8], width: usize) {
 }
 
 /// The inverse of [`split`].
-fn join(columns: &[Vec<u8>], scalar: Scalar, bytes: &mut [u8]) {
+fn join(columns: &[Vec<u8>], scalar: ScalarType, bytes: &mut [u8]) {
     let size = scalar.size() as usize;
     for (at, column) in columns.iter().enumerate() {
         let values = bytes.chunks_exact_mut(size).skip(at).step_by(columns.len());
@@ -501,5 +501,6 @@ fn join(columns: &[Vec<u8>], scalar: Scalar, bytes: &mut [u8]) {
 
 /// Whether values of this field may be keys: one small integer each.
 fn may_be_key(field: &Field) -> bool {
-    field.count == 1 && matches!(field.scalar, Scalar::U8 | Scalar::I8 | Scalar::U16 | Scalar::I16)
+    field.count == 1
+        && matches!(field.scalar, ScalarType::U8 | ScalarType::I8 | ScalarType::U16 | ScalarType::I16)
 }

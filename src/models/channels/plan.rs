@@ -6,7 +6,7 @@ use super::rules::Rule;
 use crate::entropy::BitCoder;
 use crate::ground::error::{Error, Result};
 use crate::models::numbers::Scale;
-use crate::scan::Scalar;
+use crate::scan::ScalarType;
 
 /// How a column is coded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -150,8 +150,8 @@ impl Geometry {
 
 impl Integers {
     /// Whether integers are the ranks of float32 values.
-    pub fn are_singles(&self, scalar: Scalar) -> bool {
-        self.scale == Scale::PLACE && scalar == Scalar::F32
+    pub fn are_singles(&self, scalar: ScalarType) -> bool {
+        self.scale == Scale::PLACE && scalar == ScalarType::F32
     }
 }
 

@@ -44,7 +44,7 @@ fn empty(channels: &[Channel]) -> Vec<Channel> {
     channels.iter().map(empty).collect()
 }
 
-fn channel<const N: usize>(name: &str, scalar: Scalar, values: impl Iterator<Item = [u8; N]>) -> Channel {
+fn channel<const N: usize>(name: &str, scalar: ScalarType, values: impl Iterator<Item = [u8; N]>) -> Channel {
     Channel { field: Field::new(name, scalar), bytes: values.flatten().collect() }
 }
 
@@ -65,7 +65,8 @@ fn what_follows_from_the_beam_costs_next_to_nothing() {
     let returns = returns();
     let rows = returns.iter().map(|n| n % 16 + 1).collect();
     let context = RecordContext { rows, ..RecordContext::default() };
-    let ring = channel("ring", Scalar::U16, returns.iter().map(|n| ((n % 16 * 7 % 16) as u16).to_le_bytes()));
+    let ring =
+        channel("ring", ScalarType::U16, returns.iter().map(|n| ((n % 16 * 7 % 16) as u16).to_le_bytes()));
     let size = round_trip(&[ring], &context);
     assert!(size < 60, "{size} bytes");
 }
@@ -73,11 +74,11 @@ fn what_follows_from_the_beam_costs_next_to_nothing() {
 #[test]
 fn times_of_firings_are_explained_by_the_ring() {
     let returns = returns();
-    let ring = channel("ring", Scalar::U16, returns.iter().map(|n| ((n % 16) as u16).to_le_bytes()));
+    let ring = channel("ring", ScalarType::U16, returns.iter().map(|n| ((n % 16) as u16).to_le_bytes()));
     let time = |n: &u32| {
         ((1_600_000_000_000_000u64 + u64::from(n / 16 * 55 + n % 16 * 2)) as f64 / 1e6).to_le_bytes()
     };
-    let time = channel("time", Scalar::F64, returns.iter().map(time));
+    let time = channel("time", ScalarType::F64, returns.iter().map(time));
     let rings = round_trip(std::slice::from_ref(&ring), &RecordContext::default());
     let both = round_trip(&[time, ring], &RecordContext::default());
     assert!(both - rings < RECORDS as usize / 40, "{both} bytes, {rings} of rings");
@@ -104,17 +105,21 @@ fn what_follows_from_range_and_tick_costs_next_to_nothing() {
     let turned = |row: u32, tick: u32| tick as i32 + (row * 37 % 11) as i32 - 5;
     let ticks = || context.rows.iter().zip(&context.ticks);
     let channels = [
-        channel("single", Scalar::F32, steps().map(|&n| (n as f32 * 0.002f32).to_le_bytes())),
-        channel("rounded", Scalar::F32, steps().map(|&n| ((f64::from(n) * 0.002) as f32).to_le_bytes())),
-        channel("turned", Scalar::F32, ticks().map(|(&row, &tick)| (turned(row, tick) as f32).to_le_bytes())),
+        channel("single", ScalarType::F32, steps().map(|&n| (n as f32 * 0.002f32).to_le_bytes())),
+        channel("rounded", ScalarType::F32, steps().map(|&n| ((f64::from(n) * 0.002) as f32).to_le_bytes())),
+        channel(
+            "turned",
+            ScalarType::F32,
+            ticks().map(|(&row, &tick)| (turned(row, tick) as f32).to_le_bytes()),
+        ),
         channel(
             "radians",
-            Scalar::F32,
+            ScalarType::F32,
             ticks().map(|(_, &tick)| {
                 ((f64::from(tick) * 0.01 * std::f64::consts::PI / 180.0) as f32).to_le_bytes()
             }),
         ),
-        channel("backwards", Scalar::U16, ticks().map(|(_, &tick)| (36_000 - tick as u16).to_le_bytes())),
+        channel("backwards", ScalarType::U16, ticks().map(|(_, &tick)| (36_000 - tick as u16).to_le_bytes())),
     ];
     let size = round_trip(&channels, &context);
     assert!(size < 150, "{size} bytes");
@@ -129,7 +134,7 @@ fn times_of_packets_are_known_in_all_their_firings() {
         let packet = 1.6e9 + f64::from(n / 96 * 330 + noise(n / 96) % 7) * 1e-6;
         (packet + (f64::from(n / 16 % 6) * 55.296 + f64::from(n % 16) * 2.304) * 1e-6).to_le_bytes()
     };
-    let size = round_trip(&[channel("time", Scalar::F64, returns.iter().map(time))], &context);
+    let size = round_trip(&[channel("time", ScalarType::F64, returns.iter().map(time))], &context);
     let packets = returns[returns.len() - 1] as usize / 96;
     assert!(size < 4 * packets, "{size} bytes of {packets} packets");
 }
@@ -142,7 +147,7 @@ fn a_column_has_one_time_in_every_line() {
         ..RecordContext::default()
     };
     let time = |n: u32| (n % 500 * 97_656 + noise(n % 500) % 9000).to_le_bytes();
-    let size = round_trip(&[channel("t", Scalar::U32, (0..RECORDS).map(time))], &context);
+    let size = round_trip(&[channel("t", ScalarType::U32, (0..RECORDS).map(time))], &context);
     assert!(size < 3 * 500, "{size} bytes");
 }
 
@@ -158,7 +163,7 @@ fn the_range_in_millimetres_follows_from_the_steps() {
         ..RecordContext::default()
     };
     let size = round_trip(
-        &[channel("range", Scalar::U32, (0..RECORDS).map(|n| (8 * steps(n)).to_le_bytes()))],
+        &[channel("range", ScalarType::U32, (0..RECORDS).map(|n| (8 * steps(n)).to_le_bytes()))],
         &context,
     );
     assert!(size < 40, "{size} bytes");
@@ -166,7 +171,7 @@ fn the_range_in_millimetres_follows_from_the_steps() {
     let positions = (0..RECORDS).map(|n| [0.0, 0.008 * steps(n) as f32 - 0.004, 0.0]).collect();
     let context = RecordContext { positions, ..RecordContext::default() };
     let size = round_trip(
-        &[channel("range", Scalar::U32, (0..RECORDS).map(|n| (8 * steps(n)).to_le_bytes()))],
+        &[channel("range", ScalarType::U32, (0..RECORDS).map(|n| (8 * steps(n)).to_le_bytes()))],
         &context,
     );
     assert!(size < 200, "{size} bytes");
@@ -181,7 +186,7 @@ fn grey_picture() -> (Channel, RecordContext) {
         ..RecordContext::default()
     };
     let packed = |n: u32| f32::from_bits(grey(n) * 0x0001_0101).to_le_bytes();
-    (channel("rgb", Scalar::F32, (0..RECORDS).map(packed)), context)
+    (channel("rgb", ScalarType::F32, (0..RECORDS).map(packed)), context)
 }
 
 #[test]
@@ -207,7 +212,7 @@ fn light_follows_from_its_neighbours_and_the_frame_before() {
         columns: (0..RECORDS).map(|n| n / 40 + 1).collect(),
         ..RecordContext::default()
     };
-    let ambient = channel("ambient", Scalar::U16, (0..RECORDS).map(|n| (light(n) as u16).to_le_bytes()));
+    let ambient = channel("ambient", ScalarType::U16, (0..RECORDS).map(|n| (light(n) as u16).to_le_bytes()));
     let bits = 8.0 * round_trip(&[ambient], &context) as f64 / f64::from(RECORDS);
     // Without the plan for images it takes 5.6.
     assert!(bits < 4.0, "{bits} bits a record");
@@ -219,13 +224,13 @@ fn the_same_in_another_type_and_constants_cost_nothing() {
     let intensity: Vec<f32> = values().map(|n| n as f32).collect();
     let context = RecordContext { intensity, ..RecordContext::default() };
     let channels = [
-        channel("reflectivity", Scalar::U16, values().map(|n| (n as u16).to_le_bytes())),
-        channel("again", Scalar::F64, values().map(|n| f64::from(n).to_le_bytes())),
+        channel("reflectivity", ScalarType::U16, values().map(|n| (n as u16).to_le_bytes())),
+        channel("again", ScalarType::F64, values().map(|n| f64::from(n).to_le_bytes())),
         Channel {
             field: Field::padding(12),
             bytes: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12].repeat(RECORDS as usize),
         },
-        channel("return_type", Scalar::U8, (0..RECORDS).map(|_| [3])),
+        channel("return_type", ScalarType::U8, (0..RECORDS).map(|_| [3])),
     ];
     let size = round_trip(&channels, &context);
     assert!(size < 40, "{size} bytes");
@@ -246,7 +251,7 @@ fn what_follows_from_the_position_costs_little() {
         let metres = metres(n);
         ((metres * metres + 0.0625).sqrt() as f32).to_le_bytes()
     };
-    let channels = [channel("distance", Scalar::F32, (0..RECORDS).map(distance))];
+    let channels = [channel("distance", ScalarType::F32, (0..RECORDS).map(distance))];
     let size = round_trip(&channels, &context);
     assert!(size < RECORDS as usize / 2, "{size} bytes");
 }
@@ -297,7 +302,7 @@ fn frames_that_begin_within_a_packet_know_its_firings_from_those_before() {
     };
     let frames = [0, 5, 11].map(|firing| {
         let (returns, context) = frame_from(firing);
-        (vec![channel("time", Scalar::F64, returns.iter().map(time))], context)
+        (vec![channel("time", ScalarType::F64, returns.iter().map(time))], context)
     });
     let sizes = frames_round_trip(&frames.each_ref().map(|(channels, context)| (&channels[..], context)));
     let packets = 2 * RECORDS as usize / 192;
@@ -313,7 +318,7 @@ fn times_that_were_added_in_single_precision_take_little() {
         of_firing as f32 + start(n / 384)
     };
     let times = || returns.iter().map(|n| time(n).to_le_bytes());
-    let size = round_trip(&[channel("time", Scalar::F32, times())], &context);
+    let size = round_trip(&[channel("time", ScalarType::F32, times())], &context);
     let packets = 2 * RECORDS as usize / 384;
     assert!(size < 20 * packets, "{size} bytes of {packets} packets");
 }
@@ -376,11 +381,11 @@ fn frames_round_trip_by(way: Way, places: &[(u8, u8)], frames: &[Vec<f32>]) {
     for frame in frames {
         let mut bytes: Vec<u8> = frame.iter().flat_map(|value| value.to_le_bytes()).collect();
         let mut encoder = ArithmeticEncoder::default();
-        writer.code(&mut encoder, &plan, &sources, Scalar::F32, &mut bytes).unwrap();
+        writer.code(&mut encoder, &plan, &sources, ScalarType::F32, &mut bytes).unwrap();
         let coded = encoder.finish();
         let mut decoded = vec![0; bytes.len()];
         let mut decoder = ArithmeticDecoder::new(&coded);
-        reader.code(&mut decoder, &plan, &sources, Scalar::F32, &mut decoded).unwrap();
+        reader.code(&mut decoder, &plan, &sources, ScalarType::F32, &mut decoded).unwrap();
         assert_eq!(decoded, bytes);
     }
 }
@@ -419,7 +424,7 @@ fn levels_may_all_be_off_the_scale() {
 #[test]
 fn more_columns_than_have_models_come_back() {
     let values = |n: u32| {
-        channel(&format!("c{n}"), Scalar::U8, (0..300).map(move |at| [noise(at * 100 + n) as u8 & 3]))
+        channel(&format!("c{n}"), ScalarType::U8, (0..300).map(move |at| [noise(at * 100 + n) as u8 & 3]))
     };
     let channels: Vec<Channel> = (0..70).map(values).collect();
     round_trip(&channels, &RecordContext::default());
@@ -430,7 +435,7 @@ fn any_channel(records: usize) -> impl Strategy<Value = Channel> {
     let values = prop::collection::vec(any::<[u8; 8]>(), records * 3);
     (values, 0u8..10, 1u32..4, 0u8..4, any::<bool>()).prop_map(
         move |(values, number, count, kind, is_named)| {
-            let scalar = Scalar::from_number(number).unwrap();
+            let scalar = ScalarType::from_number(number).unwrap();
             let size = scalar.size() as usize;
             let mut bytes = Vec::new();
             for (n, value) in values.iter().take(records * count as usize).enumerate() {

@@ -1,7 +1,7 @@
 //! The grid of intensities: levels are multiples of an equal part of 1.0. FORMAT.md 8.5.
 
 use crate::models::numbers::{NumberGrid, Scale};
-use crate::scan::Scalar;
+use crate::scan::ScalarType;
 
 /// Levels per 1.0 in the files of known scanners: hundredths (KITTI), 256ths (KITTI-360), 255ths, whole
 /// numbers (nuScenes, many PCD files).
@@ -96,8 +96,8 @@ impl RoughGrid {
 /// A scale on which all of these values are integers of 32 bits.
 fn rough_scale(values: &[f32]) -> Scale {
     let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-    let scale = Scale::of(Scalar::F32, &bytes);
-    let rough = RoughGrid(scale.grid(Scalar::F32));
+    let scale = Scale::of(ScalarType::F32, &bytes);
+    let rough = RoughGrid(scale.grid(ScalarType::F32));
     let comes_back = |value: &f32| rough.value(rough.integer(*value)).to_bits() == value.to_bits();
     if values.iter().all(comes_back) { scale } else { Scale::PLACE }
 }
@@ -180,7 +180,7 @@ impl IntensityScale {
 
     /// How the values of a frame without a grid become integers, of 32 bits.
     pub fn rough(&self) -> RoughGrid {
-        RoughGrid(self.rough.grid(Scalar::F32))
+        RoughGrid(self.rough.grid(ScalarType::F32))
     }
 
     /// Whether there is a grid at all.
