@@ -149,7 +149,7 @@ impl FrameNames {
     /// # Errors
     /// If no file can have it: it is not a [safe path](is_safe_path), or another frame has it.
     pub fn check(&mut self, number: u64, name: &str) -> Result<()> {
-        // Frames of messages and of points in memory have no names.
+        // Messages have none, and points in memory need none.
         let fault = if name.is_empty() {
             return Ok(());
         } else if !is_safe_path(name.strip_suffix('/').unwrap_or(name)) {
