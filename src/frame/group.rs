@@ -51,7 +51,8 @@ struct TrackEncoder<'s> {
 struct TrackState<'s> {
     /// `None` also if the first frame was smaller without it.
     scanner: Option<&'s Scanner>,
-    models: Models,
+    /// In a box, as they are large and change hands.
+    models: Box<Models>,
     /// The last motion of the scanner, from frame to frame.
     motion: QuantisedPose,
     /// Number of frames coded so far.
@@ -379,7 +380,7 @@ impl TrackState<'_> {
         &self,
         mut frame: FrameParts,
         prediction: Prediction,
-        mut models: Models,
+        mut models: Box<Models>,
         config: &EncoderConfig,
         mut stages: StageReport,
     ) -> Result<Attempt> {
@@ -460,7 +461,7 @@ fn are_corrections_costly(frame: &FrameParts, sections: &[Section]) -> bool {
 /// A frame coded with one of several predictions.
 struct Attempt {
     /// The models after coding it.
-    models: Models,
+    models: Box<Models>,
     /// The frame as decoded.
     frame: FrameParts,
     sections: Vec<Section>,
