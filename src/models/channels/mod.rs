@@ -200,7 +200,7 @@ impl Sources<'_> {
     fn values(&self, source: usize) -> Option<Values<'_>> {
         let context = self.context;
         match source {
-            0..3 if !context.positions.is_empty() => Some(Values::CoordinateGrid(&context.positions, source)),
+            0..3 if !context.positions.is_empty() => Some(Values::Coordinates(&context.positions, source)),
             3 if !context.intensity.is_empty() => Some(Values::Intensities(&context.intensity)),
             0..4 => None,
             _ => self.channel(source - 4).map(Values::Of),
@@ -246,7 +246,7 @@ impl Sources<'_> {
 /// The values of a source, one per record.
 enum Values<'a> {
     /// The coordinates along an axis.
-    CoordinateGrid(&'a [[f32; 3]], usize),
+    Coordinates(&'a [[f32; 3]], usize),
     Intensities(&'a [f32]),
     Of(&'a Channel),
 }
@@ -255,7 +255,7 @@ impl Values<'_> {
     /// Their type.
     fn scalar(&self) -> ScalarType {
         match self {
-            Values::CoordinateGrid(..) | Values::Intensities(_) => ScalarType::F32,
+            Values::Coordinates(..) | Values::Intensities(_) => ScalarType::F32,
             Values::Of(channel) => channel.field.scalar,
         }
     }
@@ -263,7 +263,7 @@ impl Values<'_> {
     /// Their number.
     fn len(&self) -> usize {
         match self {
-            Values::CoordinateGrid(positions, _) => positions.len(),
+            Values::Coordinates(positions, _) => positions.len(),
             Values::Intensities(values) => values.len(),
             Values::Of(channel) => channel.bytes.len() / channel.field.width().max(1),
         }
@@ -273,7 +273,7 @@ impl Values<'_> {
     fn get(&self, record: usize) -> [u8; 8] {
         let mut bytes = [0; 8];
         match self {
-            Values::CoordinateGrid(positions, axis) => {
+            Values::Coordinates(positions, axis) => {
                 bytes[..4].copy_from_slice(&positions[record][*axis].to_le_bytes());
             }
             Values::Intensities(values) => bytes[..4].copy_from_slice(&values[record].to_le_bytes()),
