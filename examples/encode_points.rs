@@ -37,7 +37,7 @@ pub fn encode(path: &Path) -> lidarpc::Result<Summary> {
         let scan = Scan::from_xyzi(&points)
             .with_channel("ring", &lasers)?
             .with_channel("time", &times)?
-            .at_time(i64::from(number) * 100_000_000);
+            .with_time(i64::from(number) * 100_000_000);
         encoder.push(scan)?;
     }
     encoder.finish()

@@ -243,7 +243,7 @@ fn resume(stream: &[u8], journal: &[u8]) -> (Result<()>, (Vec<u8>, Vec<u8>)) {
 /// and the scanner inverts the points that it computes.
 pub fn scanner(data: &[u8]) {
     let [family, payload @ ..] = data else { return };
-    let Ok(Some(scanner)) = Scanner::of_record(u64::from(*family), payload) else { return };
+    let Ok(Some(scanner)) = Scanner::from_record(u64::from(*family), payload) else { return };
     assert_eq!((scanner.family_number(), &scanner.to_payload()[..]), (u64::from(*family), payload));
     let last = scanner.rows().saturating_sub(1) as u32;
     let returns = [(0, 1), (0, 5000), (last, 1), (last, 5000)];

@@ -254,7 +254,7 @@ class Drive {
 
   #check(number) {
     if (!Number.isInteger(number) || number < 0 || number >= this.length) {
-      throw this.#decoder.fail(`there is no frame ${number} in a stream of ${this.length}`);
+      throw this.#decoder.fail(`there is no frame ${number}; the stream has ${this.length} frames`);
     }
   }
 }

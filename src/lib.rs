@@ -1,6 +1,6 @@
 //! lidarpc compresses sequences of spinning-LiDAR scans, losslessly unless configured otherwise.
 //!
-//! [`Encoder`] writes scans to a stream; [`Decoder`] reads them back by number, in order, or from a pipe. A
+//! [`Encoder`] writes scans to a stream; [`Decoder`] reads them back by number or in order, [`Scans`] from a pipe. A
 //! [`Scan`] has positions and named, typed channels. It comes from memory or from a file, which is restored
 //! byte for byte. [`Settings`] define how much accuracy may be lost, if any, and how hard the encoder tries.
 //!
@@ -12,7 +12,7 @@
 //! fn round_trip(drive: &[(i64, Vec<[f32; 4]>)]) -> lidarpc::Result<()> {
 //!     let mut encoder = Encoder::new(File::create("drive.lpc")?, Settings::exact())?;
 //!     for (time, xyzi) in drive {
-//!         encoder.push(Scan::from_xyzi(xyzi).at_time(*time))?;
+//!         encoder.push(Scan::from_xyzi(xyzi).with_time(*time))?;
 //!     }
 //!     encoder.finish()?;
 //!     for scan in Decoder::open(File::open("drive.lpc")?)?.scans(..) {
@@ -36,21 +36,17 @@
 //!
 //! Not on by default are `python`, the extension module of the Python package, built by maturin; and `wasm`,
 //! the WebAssembly module of the npm package, built by `js/build`.
-//!
-//! # Modules
-//!
-//! The modules are listed in data-flow order:
-//!
-//! ```text
-//! files -> Scan -> scanner -> range image -> models -> frame -> stream -> .lpc
-//!  files    scan    scanner                  over       frame    stream
-//!                                            entropy
-//! ```
 
 // Unused code is detected in builds with all features: the program uses much that the library alone does not.
 #![cfg_attr(not(feature = "cli"), allow(dead_code))]
 // Some re-exports are used by tests only.
 #![cfg_attr(not(all(feature = "cli", feature = "internals")), allow(unused_imports))]
+
+// The modules in data-flow order:
+//
+// files -> Scan -> scanner -> range image -> models -> frame -> stream -> .lpc
+//  files    scan    scanner                  over       frame    stream
+//                                            entropy
 
 mod ground;
 
@@ -98,10 +94,10 @@ mod python;
 mod wasm;
 
 pub use container::{FrameKind, SectionKind};
-pub use ground::error::{Error, Limits, Result};
+pub use ground::error::{Error, Limits, Location, Result};
 pub use library::{
-    ChannelInfo, Decoder, Encoder, FrameDetails, FrameInfo, MessageEncoder, RangeImage, Scalar, Scan, Scans,
-    Settings, Summary,
+    ChannelInfo, ChannelValues, Decoder, Encoder, FrameDetails, FrameInfo, MessageEncoder, RangeImage,
+    Scalar, Scan, Scans, Settings, Summary,
 };
 pub use scan::ScalarType;
 

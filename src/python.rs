@@ -7,7 +7,7 @@
 use std::ffi::OsString;
 use std::fs::File;
 use std::io::{self, Cursor, Read, Seek, SeekFrom, Write};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use numpy::{Element, IntoPyArray, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::{PyKeyError, PyTypeError, PyValueError};
@@ -15,6 +15,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
 
+use crate::ground::team::locked;
 use crate::library::{Decoder, Encoder, MessageEncoder, Scalar, Scan, Scans, Settings};
 use crate::{Error, ScalarType, cli};
 
@@ -44,11 +45,6 @@ fn raise(error: Error, file: &str, frame: Option<u64>) -> PyErr {
         raised.set_cause(py, cause);
         raised
     })
-}
-
-/// Locks a mutex even if a thread panicked while holding it: the panic itself is reported elsewhere.
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The source of a stream's bytes.
@@ -263,14 +259,6 @@ fn stacked<'py, T: Scalar + Element>(py: Python<'py>, scan: &Scan) -> PyResult<B
     Ok(points.into_pyarray(py).reshape([scan.len(), 3])?.into_any())
 }
 
-impl Frame {
-    /// Whether x, y and z are the scan's positions, rather than channels of another type.
-    fn has_positions(&self) -> bool {
-        !self.scan.positions().is_empty()
-            || (self.scan.is_empty() && self.scan.channels().all(|channel| channel.name != "x"))
-    }
-}
-
 #[pymethods]
 impl Frame {
     #[getter]
@@ -299,7 +287,7 @@ impl Frame {
 
     #[getter]
     fn fields(&self) -> Vec<String> {
-        let position = ["x", "y", "z"].into_iter().filter(|_| self.has_positions());
+        let position = ["x", "y", "z"].into_iter().filter(|_| self.scan.has_positions());
         position.chain(self.scan.channels().map(|channel| channel.name)).map(str::to_owned).collect()
     }
 
@@ -309,7 +297,7 @@ impl Frame {
 
     #[getter]
     fn xyz<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        if self.has_positions() {
+        if self.scan.has_positions() {
             let positions = self.scan.positions().as_flattened().to_vec();
             return Ok(positions.into_pyarray(py).reshape([self.scan.len(), 3])?.into_any());
         }
@@ -321,7 +309,7 @@ impl Frame {
 
     fn __getitem__<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let axis = ["x", "y", "z"].into_iter().position(|axis| axis == name);
-        if let Some(axis) = axis.filter(|_| self.has_positions()) {
+        if let Some(axis) = axis.filter(|_| self.scan.has_positions()) {
             let column: Vec<f32> = self.scan.positions().iter().map(|position| position[axis]).collect();
             return Ok(column.into_pyarray(py).into_any());
         }
@@ -376,9 +364,9 @@ fn scan_of(
     if !rest.is_empty() {
         return Err(PyValueError::new_err("xyz must have 3 columns"));
     }
-    let mut scan = Scan::from_positions(positions).with_name(name).on_track(track);
+    let mut scan = Scan::from_positions(positions).with_name(name).with_track(track);
     if let Some(time) = time {
-        scan = scan.at_time(time);
+        scan = scan.with_time(time);
     }
     fields.iter().try_fold(scan, |scan, (name, values)| with_field(scan, name, values))
 }
@@ -478,8 +466,8 @@ impl StreamWriter {
         time: Option<i64>,
         track: u8,
     ) -> PyResult<()> {
-        let scan = Scan::from_file(name, data).on_track(track);
-        self.push_scan(py, if let Some(time) = time { scan.at_time(time) } else { scan })
+        let scan = Scan::from_file(name, data).with_track(track);
+        self.push_scan(py, if let Some(time) = time { scan.with_time(time) } else { scan })
     }
 
     /// Number of scans and of points, bytes of the scans, bytes of the stream.

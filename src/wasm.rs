@@ -12,13 +12,13 @@
 use std::cell::RefCell;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use serde::Serialize;
 
 use crate::ground::error::{Error, Result};
-use crate::library::{Decoder, Scalar, Scan};
-use crate::scan::ScalarType;
+use crate::ground::team::locked;
+use crate::library::{ChannelValues, Decoder, Scan};
 
 /// The call succeeded; there is an answer.
 const DONE: u32 = 0;
@@ -72,7 +72,7 @@ struct Input {
 
 impl Input {
     fn pieces(&self) -> MutexGuard<'_, SuppliedBytes> {
-        self.pieces.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.pieces)
     }
 }
 
@@ -165,8 +165,19 @@ impl Array {
         Array { address: values.as_ptr().addr(), bytes: size_of_val(values) }
     }
 
-    fn of_channel<T: Scalar>(scan: &Scan, name: &str) -> Result<Self> {
-        scan.channel::<T>(name).map(Array::of)
+    fn of_channel(values: &ChannelValues) -> Self {
+        match values {
+            ChannelValues::I8(values) => Array::of(values),
+            ChannelValues::U8(values) => Array::of(values),
+            ChannelValues::I16(values) => Array::of(values),
+            ChannelValues::U16(values) => Array::of(values),
+            ChannelValues::I32(values) => Array::of(values),
+            ChannelValues::U32(values) => Array::of(values),
+            ChannelValues::I64(values) => Array::of(values),
+            ChannelValues::U64(values) => Array::of(values),
+            ChannelValues::F32(values) => Array::of(values),
+            ChannelValues::F64(values) => Array::of(values),
+        }
     }
 }
 
@@ -269,7 +280,7 @@ impl Module {
                 name: channel.name,
                 scalar: channel.scalar.name(),
                 count: channel.count,
-                values: values_of(scan, channel.name, channel.scalar)?,
+                values: Array::of_channel(scan.values(channel.name)?),
             })
         });
         let frame = DecodedFrame {
@@ -294,22 +305,6 @@ impl Module {
 
     fn scanners(&mut self) -> Result<String> {
         Ok(json(&self.decoder()?.scanners()?))
-    }
-}
-
-/// The values of a channel.
-fn values_of(scan: &Scan, name: &str, scalar: ScalarType) -> Result<Array> {
-    match scalar {
-        ScalarType::I8 => Array::of_channel::<i8>(scan, name),
-        ScalarType::U8 => Array::of_channel::<u8>(scan, name),
-        ScalarType::I16 => Array::of_channel::<i16>(scan, name),
-        ScalarType::U16 => Array::of_channel::<u16>(scan, name),
-        ScalarType::I32 => Array::of_channel::<i32>(scan, name),
-        ScalarType::U32 => Array::of_channel::<u32>(scan, name),
-        ScalarType::I64 => Array::of_channel::<i64>(scan, name),
-        ScalarType::U64 => Array::of_channel::<u64>(scan, name),
-        ScalarType::F32 => Array::of_channel::<f32>(scan, name),
-        ScalarType::F64 => Array::of_channel::<f64>(scan, name),
     }
 }
 

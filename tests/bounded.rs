@@ -208,11 +208,8 @@ fn threads_and_ways_to_decode_make_no_difference() {
 
 #[test]
 fn real_scans_keep_the_bound() {
-    for folder in real_folders() {
-        let files = first_files(&folder, 1);
-        for max_error_um in [5_000, 50_000] {
-            keeps_the_bound(&files, &bounded(max_error_um), max_error_um);
-        }
+    for (folder, max_error_um) in real_folders().into_iter().zip([5_000, 50_000].into_iter().cycle()) {
+        keeps_the_bound(&first_files(&folder, 1), &bounded(max_error_um), max_error_um);
         println!("{}: as promised", folder.display());
     }
 }

@@ -345,10 +345,15 @@ fn a_damaged_stream_leaves_nothing_behind() {
     let cuts = [0, 3, 11, 12, whole.len() / 2, whole.len() - 1].map(|length| whole[..length].to_vec());
     for bytes in cuts.into_iter().chain([damaged, [&whole[..], b"x"].concat()]) {
         fs::write(bench.path("bad.lpc"), &bytes).unwrap();
-        for args in ["decode bad.lpc -o back", "decode bad.lpc -o new", "verify bad.lpc", "info bad.lpc"] {
+        for args in ["decode bad.lpc -o back", "decode bad.lpc -o new", "info bad.lpc"] {
             let error = bench.fails(args, "bad.lpc");
             assert!(error.contains("damaged stream"), "{error}");
         }
+        // Lists what is lost first.
+        let run = bench.command("verify bad.lpc").assert().code(1);
+        let error = String::from_utf8_lossy(&run.get_output().stderr).into_owned();
+        assert!(error.lines().all(|line| line.starts_with("lidarpc: bad.lpc: ")), "{error}");
+        assert!(error.lines().last().is_some_and(|line| line.contains("damaged stream")), "{error}");
         bench.fails("stats bad.lpc --against seq", "bad.lpc");
         assert_eq!(bench.names("back"), [""; 0]);
         assert_eq!(bench.names("."), ["back", "bad.lpc", "out.lpc", "seq"]);

@@ -16,7 +16,7 @@ use lidarpc::internals::container::{Group, SectionKind};
 use lidarpc::internals::files::parse;
 use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::scan::ScanFile;
-use lidarpc::internals::scanner::firings::{Build, Firings, Laser, Recipe, Timing, fit};
+use lidarpc::internals::scanner::firings::{self, Build, Firings, Laser, Recipe, Timing};
 use lidarpc::internals::scanner::{REACH, RangeImage, Return, Scanner};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner, VLP_16_ELEVATIONS, drive};
 
@@ -31,6 +31,13 @@ fn scans(config: &SynthConfig) -> Vec<Points> {
 
 fn file(points: &Points) -> ScanFile {
     parse("0.bin", kitti(points))
+}
+
+/// The scanner that is fitted to scans, and the share of the points of the first that it explains.
+fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
+    let scanner = firings::fit(sample)?;
+    let share = scanner.explained_share(&sample[0].cloud.positions);
+    Some((scanner, share))
 }
 
 fn fitted(points: &Points) -> Firings {
@@ -87,7 +94,7 @@ fn the_order_of_the_file_costs_nothing_and_no_point_is_a_stray() {
     let stream = round_trip(&files(&scans), &EncoderConfig::default());
     let (scanners, groups) = take_apart(&stream);
     assert_eq!(scanners.len(), 1);
-    let scanner = Scanner::of_record(scanners[0].family, &scanners[0].payload).unwrap();
+    let scanner = Scanner::from_record(scanners[0].family, &scanners[0].payload).unwrap();
     assert!(scanner.is_some_and(|scanner| scanner.firings().is_some()));
     let bytes = |wanted: SectionKind| bytes_of(wanted, &groups);
     assert_eq!(bytes(SectionKind::Strays), 0, "there are no strays");

@@ -181,14 +181,16 @@ fn archive(mut header: tar::Header) -> Vec<u8> {
 
 #[test]
 fn everything_that_fuzzing_found_is_mended() {
-    for (target, run) in TARGETS {
-        let folder = in_package("fuzz/regressions").join(target);
-        let found = if folder.is_dir() { first_files(&folder, usize::MAX) } else { Vec::new() };
+    for folder in fs::read_dir(in_package("fuzz/regressions")).unwrap() {
+        let folder = folder.unwrap().path();
+        let is_named = |(target, _): &&(&str, _)| folder.ends_with(target);
+        let (_, run) = TARGETS.iter().find(is_named).unwrap_or_else(|| panic!("{folder:?} is no target's"));
+        let found = first_files(&folder, usize::MAX);
+        assert!(!found.is_empty(), "{folder:?} is empty");
         for (name, bytes) in &found {
-            println!("{target}: {name}");
+            println!("{}: {name}", folder.display());
             run(bytes);
         }
-        println!("{target}: {} found by fuzzing", found.len());
     }
 }
 

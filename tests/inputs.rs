@@ -363,14 +363,18 @@ fn a_damaged_file_does_not_hide_the_others() {
     let output = run.get_output();
     let (said, errors) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(said.starts_with("out.lpc: whole; 10 frames"), "{said}");
+    let lines: Vec<_> = errors.lines().collect();
     assert!(
-        errors.starts_with("lidarpc: bad.lpc: damaged stream") && errors.ends_with("1 of 2 files failed\n"),
+        lines[0].starts_with("lidarpc: bad.lpc: bytes ") && lines[0].contains("frames 2 to 3"),
         "{errors}"
     );
+    assert!(lines[1].starts_with("lidarpc: bad.lpc: damaged stream"), "{errors}");
+    assert_eq!(lines[2..], ["lidarpc: 1 of 2 files failed"]);
     let run = bench.command("verify bad.lpc out.lpc --json").assert().code(1);
     let reports: Value = serde_json::from_slice(&run.get_output().stdout).unwrap();
     assert_eq!((&reports[0]["whole"], &reports[1]["whole"]), (&false.into(), &true.into()));
     assert!(reports[0]["error"].as_str().unwrap().contains("damaged stream"), "{reports}");
+    assert_eq!((&reports[0]["lost"]["places"], &reports[0]["lost"]["frames"]), (&1.into(), &2.into()));
 
     // The contents before the damage are listed.
     let run = bench.command("info bad.lpc").assert().code(1);

@@ -342,6 +342,37 @@ fn a_tar_pipe_comes_back() {
 }
 
 #[test]
+#[cfg(unix)]
+fn a_signal_ends_a_recording_and_keeps_it() {
+    let scans = files(4);
+    let many = (0..).map(|n| (format!("{n}.bin"), scans[n % scans.len()].1.clone()));
+    // More than a pipe holds, so that the program must have begun to read when all is written.
+    let sent: Vec<_> = many.take((1 << 19) / scans[0].1.len()).collect();
+    for (signal, strict, kept) in [("-INT", false, true), ("-TERM", false, true), ("-INT", true, false)] {
+        let folder = TempDir::new().unwrap();
+        let out = folder.path().join("out.lpc");
+        let mut args = vec!["encode", "-", "-o", out.to_str().unwrap()];
+        args.extend(strict.then_some("--strict"));
+        let mut child = program(&args);
+        // The pipe stays open, within a scan.
+        let mut stdin = child.stdin.take().unwrap();
+        sent.iter().for_each(|file| stdin.write_all(&framed(file)).unwrap());
+        stdin.write_all(b"last.bin 1000\nbegin").unwrap();
+        assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+        let output = child.wait_with_output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(1) && error.contains("stdin: interrupted"), "{signal}: {error}");
+        assert_eq!(out.exists(), kept, "{signal}: {error}");
+        if kept {
+            assert!(error.contains(&format!("ends early, after {} frames", sent.len())), "{error}");
+            assert_eq!(decode_files(&fs::read(&out).unwrap()).unwrap(), sent, "{signal}");
+        }
+        drop(stdin);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), usize::from(kept), "{signal}");
+    }
+}
+
+#[test]
 fn what_arrived_before_the_input_was_cut_is_kept() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("out.lpc");

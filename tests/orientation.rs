@@ -37,12 +37,12 @@ fn takes_no_more_bytes(scans: &[Points], numbers: &[u64], is_unique: bool) {
     let config = EncoderConfig::default();
     let upright = round_trip(&files(scans, Orientation::default()), &config).len();
     for number in numbers {
-        let orientation = Orientation::of_number(*number).unwrap();
+        let orientation = Orientation::from_number(*number).unwrap();
         let stream = round_trip(&files(scans, orientation), &config);
         println!("{orientation}: {} instead of {upright} bytes", stream.len());
         assert!(stream.len() <= upright + upright / 25, "{orientation}: {} bytes", stream.len());
         let record = &take_apart(&stream).0[0];
-        let found = Scanner::of_record(record.family, &record.payload).unwrap().unwrap();
+        let found = Scanner::from_record(record.family, &record.payload).unwrap().unwrap();
         assert!(!is_unique || found.orientation() == orientation, "{}", found.orientation());
     }
 }
@@ -69,7 +69,7 @@ fn a_scanner_of_firings_is_found_with_any_axes() {
 #[test]
 fn other_levels_and_modes_have_the_axes_of_the_file_too() {
     let scans = simulated(SynthScanner::Vlp16, 4);
-    let files = files(&scans, Orientation::of_number(11).unwrap());
+    let files = files(&scans, Orientation::from_number(11).unwrap());
     for level in [1, 3, 9] {
         round_trip(&files, &at_level(level));
     }

@@ -65,7 +65,7 @@ fn keeps_the_image(files: &[File], config: &EncoderConfig) -> Vec<File> {
     let stream = encode_files(files, config);
     // The article's scanner, or one with the lasers of the fitted scanner.
     let record = take_apart(&stream).0.into_iter().next();
-    let scanner = record.and_then(|record| Scanner::of_record(record.family, &record.payload).unwrap());
+    let scanner = record.and_then(|record| Scanner::from_record(record.family, &record.payload).unwrap());
     let found = scanner.as_ref().and_then(Scanner::hdl64).cloned();
     let scanner = found.unwrap_or_else(|| ideal(columns, range_step_um));
     assert_eq!((scanner.ticks, scanner.range_step_um), (columns, range_step_um));

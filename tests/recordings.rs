@@ -8,7 +8,7 @@ use crate::common::scans::{Points, scans};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 use lidarpc::recordings::internals::{Encoding, points as points_of, scan};
 use lidarpc::recordings::{Clouds, CopySummary, TopicFilter, examine, pack, same_messages, unpack};
-use lidarpc::{Decoder, Encoder, Error, Settings};
+use lidarpc::{Encoder, Error, Scans, Settings};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, WriteOptions};
 use predicates::prelude::PredicateBooleanExt;
@@ -375,7 +375,7 @@ fn clouds_become_a_stream_with_their_times() {
         let clouds = Clouds::open(&recording[..], &filter).unwrap();
         clouds.for_each(|cloud| encoder.push(cloud.unwrap()).unwrap());
         encoder.finish().unwrap();
-        let scans = Decoder::stream(&stream[..], 1).unwrap().map(Result::unwrap);
+        let scans = Scans::from_reader(&stream[..]).unwrap().map(Result::unwrap);
         let found: Vec<_> = scans.map(|scan| (scan.len(), scan.time())).collect();
         let turns = turns(4);
         let expected = turns.iter().map(|points| (points.len(), Some(1_700_000_000_123_456_789)));
@@ -427,14 +427,27 @@ fn the_program_packs_and_unpacks() {
     lidarpc(&["encode", &path("small.mcap"), "-o", &path("front.lpc"), "--topic", "/front/points"]).success();
     lidarpc(&["decode", &path("front.lpc"), "-o", &path("a")]).success();
     lidarpc(&["decode", &path("drive.mcap"), "-o", &path("b"), "--topic", "/front/points"]).success();
-    let files = |name: &str| {
-        let read = std::fs::read_dir(path(name)).unwrap().map(|entry| entry.unwrap().path());
-        let mut files: Vec<_> = read.map(|path| std::fs::read(path).unwrap()).collect();
-        files.sort();
-        files
+    let files = |folder: &str| -> BTreeMap<String, Vec<u8>> {
+        let read = std::fs::read_dir(path(folder)).unwrap().map(|entry| entry.unwrap().path());
+        read.map(|path| (path.file_name().unwrap().display().to_string(), std::fs::read(path).unwrap()))
+            .collect()
     };
-    assert_eq!(files("a").len(), 4);
-    assert_eq!(files("a"), files("b"));
+    let front = files("a/front/points");
+    assert!(front.keys().eq(&["000000.pcd", "000001.pcd", "000002.pcd", "000003.pcd"]), "{:?}", front.keys());
+    assert_eq!(front, files("b/front/points"));
+    // Those of several topics, in folders of their own.
+    lidarpc(&["encode", &path("drive.mcap"), "-o", &path("both.lpc")]).success();
+    lidarpc(&["decode", &path("both.lpc"), "-o", &path("c")]).success();
+    lidarpc(&["decode", &path("drive.mcap"), "-o", &path("d")]).success();
+    for topic in ["front/points", "rear/points"] {
+        assert_eq!(files(&format!("c/{topic}")), files(&format!("d/{topic}")));
+    }
+    assert!(files("c/front/points").into_values().eq(front.into_values()));
+    // Two recordings have the same topics.
+    lidarpc(&["cat", &path("both.lpc"), &path("front.lpc"), "-o", &path("all.lpc")]).success();
+    lidarpc(&["verify", &path("all.lpc")]).success();
+    lidarpc(&["decode", &path("all.lpc"), "-o", &path("e"), "--keep-going"]).success();
+    assert_eq!(files("e/front/points").len(), 8);
     // The remaining part of a recording is processed, and this is reported.
     std::fs::write(path("cut.mcap"), &original[..original.len() * 2 / 3]).unwrap();
     let cut = lidarpc(&["encode", &path("cut.mcap"), "-o", &path("rest.mcap")]).code(3);

@@ -48,7 +48,7 @@ fn measured() -> BTreeMap<(String, u8), (String, usize)> {
             let family = take_apart(&stream).0.first().map_or_else(
                 || "-".to_owned(),
                 |record| {
-                    let scanner = Scanner::of_record(record.family, &record.payload).unwrap();
+                    let scanner = Scanner::from_record(record.family, &record.payload).unwrap();
                     scanner.map_or_else(|| record.family.to_string(), |scanner| scanner.name().to_owned())
                 },
             );

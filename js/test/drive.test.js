@@ -170,7 +170,7 @@ test("calls wait for one another", async () => {
 test("errors name file and frame, and the rest still decodes", async () => {
   const drive = await open(await openAsBlob(path));
   for (const number of [-1, LAST + 1, 0.5, "0"]) {
-    await assert.rejects(drive.frame(number), { name: "LidarpcError", message: `there is no frame ${number} in a stream of 9` });
+    await assert.rejects(drive.frame(number), { name: "LidarpcError", message: `there is no frame ${number}; the stream has 9 frames` });
   }
 
   const damaged = Uint8Array.from(bytes);

@@ -31,7 +31,7 @@ pub fn run(args: &BenchArgs, console: Console) -> Result<()> {
     // Created first, so that an error does not waste the work.
     let mut page = args.html.as_deref().map(|path| FileOutput::create(path, args.force)).transpose()?;
     let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
-    let frames = FrameInput::found(frames);
+    let frames = FrameInput::from_files(frames);
     let in_input = |error| about(error, &args.input.display().to_string());
     let bench = Bench::new(&frames, &config, args.quick).map_err(in_input)?;
     let bar = console.bar(Some(bench.frames_to_code() as u64), "measuring");

@@ -1,11 +1,12 @@
 //! Decoded frames as files: the original ones, or in another format.
 
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use crate::container::FrameKind;
 use crate::files::{FileFormat, Give, convert, is_convertible};
-use crate::ground::error::{Error, Result};
+use crate::ground::error::{Error, Result, one_line};
+use crate::ground::team::locked;
 use crate::scan::ScanFile;
 use crate::stream::DecodedFrame;
 
@@ -38,6 +39,12 @@ impl File {
     }
 }
 
+/// The name of a file, but for its extension, for the points of a frame with this name, if it has one, and this
+/// number. Clouds of a recording have that of a folder.
+pub fn name_of_points(name: &str, number: u64) -> String {
+    if name.is_empty() || name.ends_with('/') { format!("{name}{number:06}") } else { name.to_owned() }
+}
+
 /// Converts frames to files: the original ones, or in another format.
 pub struct Converter {
     format: Option<FileFormat>,
@@ -45,21 +52,21 @@ pub struct Converter {
     names: Mutex<HashMap<String, String>>,
     /// Files without points, which cannot be converted: their number, and the number and name of the first
     /// frame of them.
-    pointless: Mutex<(u64, Option<(u64, String)>)>,
+    without_points: Mutex<(u64, Option<(u64, String)>)>,
 }
 
 impl Converter {
     /// Converts to this format; without one, only points that were never in a file.
     pub fn new(format: Option<FormatArg>) -> Self {
         let format = format.map(FormatArg::format);
-        Converter { format, names: Mutex::default(), pointless: Mutex::default() }
+        Converter { format, names: Mutex::default(), without_points: Mutex::default() }
     }
 
     /// Tells how many files were not converted.
-    pub fn tell_unconverted(&self, console: Console) {
-        let pointless = self.pointless.lock().unwrap_or_else(PoisonError::into_inner);
-        if let (count, Some((_, first))) = &*pointless {
-            let first = first.replace(char::is_control, "?");
+    pub fn report_unconverted(&self, console: Console) {
+        let without_points = locked(&self.without_points);
+        if let (count, Some((_, first))) = &*without_points {
+            let first = one_line(first);
             let files = table::count(*count, "file");
             console.say(format_args!(
                 "lidarpc: {files} without points, such as {first}: not converted, but written as stored"
@@ -77,12 +84,10 @@ impl Converter {
         let name = frame.header.name.clone();
         let file = if is_convertible(&frame.scan) {
             let DecodedFrame { number, mut scan, .. } = frame;
-            if scan.name.is_empty() {
-                scan.name = format!("{number:06}");
-            }
+            scan.name = name_of_points(&scan.name, number);
             File::Converted(Box::new(convert(&scan, format)?))
         } else {
-            self.count_pointless(frame.number, &name);
+            self.count_without_points(frame.number, &name);
             File::Original(Box::new(frame))
         };
         self.reserve(file.name(), name)?;
@@ -100,9 +105,9 @@ impl Converter {
     }
 
     /// Counts a file without points.
-    fn count_pointless(&self, number: u64, name: &str) {
-        let mut pointless = self.pointless.lock().unwrap_or_else(PoisonError::into_inner);
-        let (count, first) = &mut *pointless;
+    fn count_without_points(&self, number: u64, name: &str) {
+        let mut without_points = locked(&self.without_points);
+        let (count, first) = &mut *without_points;
         *count += 1;
         // Frames come from several threads, in any order.
         let this = (number, name.to_owned());
@@ -114,7 +119,7 @@ impl Converter {
     /// # Errors
     /// If another frame already has it.
     fn reserve(&self, file: &str, frame: String) -> Result<()> {
-        let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut names = locked(&self.names);
         match names.insert(file.to_owned(), frame.clone()) {
             None => Ok(()),
             Some(other) => {

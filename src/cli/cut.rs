@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::args::CutArgs;
 use super::console::Console;
 use super::errors::about;
-use super::input::{Input, chosen_frames, name_of, open, refuse_recordings, tell_files_left_out};
+use super::input::{Input, chosen_frames, name_of, open, refuse_recordings, report_files_left_out};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
 use super::table;
 
@@ -41,7 +41,7 @@ pub fn run(args: &CutArgs, console: Console) -> Result<()> {
     let cut =
         output.write(|out| cut_stream(args, input, frames, out)).map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
-    tell_files_left_out(&args.input, cut.files_left_out, console);
+    report_files_left_out(&args.input, cut.files_left_out, console);
     let seconds = start.elapsed().as_secs_f64();
     if args.json {
         let Cut { copied, recoded, files_left_out, stream_bytes } = cut;

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use crate::container::FrameKind;
 use crate::edit::{self, Recovered};
-use crate::ground::error::{Error, Limits};
+use crate::ground::error::{Error, Limits, one_line};
 use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
@@ -15,7 +15,7 @@ use super::args::{DecodeArgs, check_usage};
 use super::console::Console;
 use super::conversion::Converter;
 use super::errors::{about, say};
-use super::input::{Input, chosen_frames, is_dash, is_pipe, name_of, open, tell_files_left_out};
+use super::input::{Input, chosen_frames, is_dash, is_pipe, name_of, open, report_files_left_out};
 use super::losses::{LossReport, Losses};
 use super::output::{FolderOutput, FrameNames};
 use super::table;
@@ -37,7 +37,7 @@ impl Report {
     /// The report in a line.
     fn summary(&self) -> String {
         let Report { folder, file_bytes, seconds, .. } = self;
-        let folder = folder.replace(char::is_control, "?");
+        let folder = one_line(folder);
         let frames = table::frames_and_files(self.frames, self.files_beside);
         format!("{folder}: {frames}: {} in {seconds:.1} s", table::bytes(*file_bytes))
     }
@@ -108,13 +108,13 @@ fn to_folder(
             bar.finish_and_clear();
             about(error, &name_of(path))
         })?;
-        tell_files_left_out(path, left_out, console);
+        report_files_left_out(path, left_out, console);
         report.lost.extend(losses.report());
         errors.extend(losses.check(files).err());
     }
     bar.finish_and_clear();
     folder.finish()?;
-    converter.tell_unconverted(console);
+    converter.report_unconverted(console);
     report.seconds = start.elapsed().as_secs_f64();
     if !args.json {
         console.say(report.summary());
@@ -155,15 +155,15 @@ fn decode<T: Send>(
     let mut names = FrameNames::default();
     edit::recover(BufReader::new(input.rewindable()?), options, |part| match part {
         // Only now: whether a frame is lost with its group is known after the whole group is decoded.
-        Recovered::Frame(frame) => match names.check(frame.number, &frame.header.name) {
+        Recovered::Frame(frame) => match names.check(frame.number, &frame.header) {
             Ok(()) => sink(work(*frame)?),
             Err(fault) => {
-                losses.tell_frame(&fault);
+                losses.report_frame(&fault);
                 Ok(())
             }
         },
         Recovered::Lost(lost) => {
-            losses.tell(&lost);
+            losses.report_loss(&lost);
             Ok(())
         }
     })
@@ -191,6 +191,6 @@ fn to_stdout(
     let mut stdout = io::stdout().lock();
     let written = file.write(&mut |piece| Ok(stdout.write_all(piece)?));
     written.and_then(|()| Ok(stdout.flush()?)).context("stdout")?;
-    converter.tell_unconverted(console);
+    converter.report_unconverted(console);
     losses.check(1)
 }

@@ -1,22 +1,24 @@
 //! `lidarpc encode` for scans: folders and files, or frames from stdin, to one stream.
 
-use std::io;
+use std::iter;
 use std::time::Instant;
 
 use crate::files::{ArrivedFile, ArrivingFrames};
 use crate::frame::EncoderConfig;
+use crate::ground::error::Error;
 use crate::stream::{self, FrameInput};
 use crate::study::metrics;
 use anyhow::{Result, ensure};
 
 use super::args::EncodeArgs;
 use super::console::Console;
-use super::encoding::{Done, create_output, encode_found, finish_output};
+use super::encoding::{Done, create_output, encode_inputs, finish_output};
 use super::errors::about;
 use super::frames;
 use super::input::is_dash;
 use super::output::{name_of_output, print_json};
 use super::report::{StreamReport, summary};
+use super::signals::LiveStdin;
 use super::table;
 
 pub fn run(args: &EncodeArgs, mut config: EncoderConfig, console: Console) -> Result<()> {
@@ -27,7 +29,7 @@ pub fn run(args: &EncodeArgs, mut config: EncoderConfig, console: Console) -> Re
     }
     let found = frames::find(args, console)?;
     frames::settle(&found.frames, &mut config, &frames::name_of_inputs(&args.inputs), console)?;
-    let done = encode_found(args, &config, &found, console)?;
+    let done = encode_inputs(args, &config, &found, console)?;
     report(args, &config, &done, start, console)?;
     if args.rm {
         found.delete(&args.inputs, &done.encoded)?;
@@ -40,11 +42,12 @@ fn encode_stdin(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> 
     let name = name_of_output(args.output());
     let mut output = create_output(args, console)?;
     let bar = console.bar(None, "encoding");
-    let mut arriving = ArrivingFrames::new(io::stdin());
+    let mut arriving = ArrivingFrames::new(LiveStdin::new());
     let input = |ArrivedFile { name, bytes }| FrameInput::memory(name, bytes);
     // What arrived before a fault is kept.
     let mut fault = None;
-    let frames = arriving.by_ref().map_while(|file| match file {
+    let files = iter::from_fn(|| if LiveStdin::is_over() { None } else { arriving.next() });
+    let frames = files.map_while(|file| match file {
         Ok(file) => Some(Ok(input(file))),
         Err(error) => {
             fault = Some(error);
@@ -55,7 +58,12 @@ fn encode_stdin(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> 
     bar.finish_and_clear();
     let encoded = encoded.map_err(|error| about(error, &name))?;
     let left_out = arriving.left_out().clone();
+    // From here on a signal ends the program.
+    drop(arriving);
     frames::check_left_out(&left_out, "stdin", args.strict, console)?;
+    if LiveStdin::was_ended() {
+        fault = Some(Error::Usage("interrupted".to_owned()));
+    }
     if let Some(error) = fault.take_if(|_| encoded.frames.is_empty() || args.strict) {
         return Err(about(error, "stdin"));
     }

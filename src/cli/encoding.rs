@@ -11,12 +11,12 @@ use crate::stream::{self, DecodeOptions, DecodedFrame, EncodeStatistics, FrameIn
 use anyhow::{Context, Result, bail, ensure};
 
 use super::args::EncodeArgs;
-use super::cleanup::SayOnSignal;
 use super::console::Console;
 use super::errors::about;
 use super::frames::InputFiles;
 use super::output::{FileOutput, name_of_output};
 use super::partial::{self, PartialOutput};
+use super::signals::SayOnSignal;
 
 /// The result of a run.
 pub struct Done {
@@ -32,7 +32,7 @@ pub struct Done {
 /// # Errors
 /// If a file cannot be read; if the output exists, cannot be written, or decodes to something else; if a
 /// complete one differs.
-pub fn encode_found(
+pub fn encode_inputs(
     args: &EncodeArgs,
     config: &EncoderConfig,
     found: &InputFiles,

@@ -2,7 +2,7 @@
 
 use std::io::{self, ErrorKind};
 
-use crate::ground::error::Error;
+use crate::ground::error::{Error, one_line};
 
 /// Prints the error on stderr and returns the exit code. A closed pipe is not an error: the reader needs no
 /// more.
@@ -40,7 +40,7 @@ pub fn say(error: &anyhow::Error) {
 
 /// The error in one line: names in it may contain line breaks and control characters.
 pub fn line(error: &anyhow::Error) -> String {
-    message(error).replace(char::is_control, "?")
+    one_line(message(error))
 }
 
 /// An error about the file or stream with this name, unless the error itself names a file.

@@ -41,7 +41,7 @@ pub fn run(args: &EstimateArgs, console: Console) -> Result<()> {
     let found = find_frames(&args.inputs)?.frames;
     let place = frames::name_of_inputs(&args.inputs);
     frames::settle_layout(&found, &mut config, &place, console)?;
-    let all = FrameInput::found(found);
+    let all = FrameInput::from_files(found);
     let places = group_places(all.len(), config.gop);
     let sample: Vec<_> =
         places.into_iter().flat_map(|start| all[start..].iter().take(config.gop).cloned()).collect();

@@ -11,6 +11,7 @@ use crate::files::sequence::{FoundFile, LeftOut, find_all, find_frames};
 use crate::files::{EXTENSIONS, parse_like, starts_as_scan};
 use crate::frame::Prediction;
 use crate::frame::settings::{Coder, EncoderConfig, PredictionChoice, ProjectionKind};
+use crate::ground::error::one_line;
 use crate::stream::{self, DecodeOptions, DecodedFrame, EncodeStatistics, FrameInput};
 use crate::study::metrics::{self, nearest_distances};
 use anyhow::{Result, bail, ensure};
@@ -37,7 +38,7 @@ pub struct InputFiles {
 impl InputFiles {
     /// The inputs of the encoder.
     pub fn inputs(&self) -> Vec<FrameInput> {
-        let mut inputs = FrameInput::found(self.frames.iter().cloned());
+        let mut inputs = FrameInput::from_files(self.frames.iter().cloned());
         // Separate from the scans, which have scanners.
         let drive = inputs.last().map_or(0, |last| last.drive() + 1);
         let beside = self.beside.iter().cloned();
@@ -104,16 +105,15 @@ pub fn find(args: &EncodeArgs, console: Console) -> Result<InputFiles> {
             // Links and unreadable files have no size of their own.
             let bytes =
                 fs::symlink_metadata(&path).ok().filter(fs::Metadata::is_file).map_or(0, |about| about.len());
-            let path = path.display().to_string();
             if args.verbose {
-                eprintln!("lidarpc: left out {} {}", kind.name(), path.replace(char::is_control, "?"));
+                eprintln!("lidarpc: left out {} {}", kind.name(), one_line(path.display()));
             }
-            left_out.add(kind, path, bytes);
+            left_out.add(kind, path.display().to_string(), bytes);
         }
     }
     check_left_out(&left_out, &name_of_inputs(&args.inputs), args.strict, console)?;
     for list in &found.unmatched_lists {
-        let list = list.display().to_string().replace(char::is_control, "?");
+        let list = one_line(list.display());
         console.say(format_args!(
             "lidarpc: {list}: has no time for each scan of its folder, so its times are not stored; it needs a line \
              a scan, each a date or a number of seconds"
@@ -130,18 +130,18 @@ pub fn name_of_inputs(inputs: &[PathBuf]) -> String {
     }
 }
 
-/// Completes the settings according to the scans, and warns about anything unusual in them. `place`: their
+/// Completes the settings according to the scans, and warns about anything unusual in them. `input`: their
 /// name in messages.
 ///
 /// # Errors
 /// If a scan cannot be read.
-pub fn settle(frames: &[FoundFile], config: &mut EncoderConfig, place: &str, console: Console) -> Result<()> {
-    settle_layout(frames, config, place, console)?;
+pub fn settle(frames: &[FoundFile], config: &mut EncoderConfig, input: &str, console: Console) -> Result<()> {
+    settle_layout(frames, config, input, console)?;
     let first = frames.first().cloned();
     if let Some(warning) =
-        FrameInput::found(first).first().and_then(|first| loss_of_paper_mode(first, config))
+        FrameInput::from_files(first).first().and_then(|first| loss_of_paper_mode(first, config))
     {
-        console.say(format_args!("lidarpc: {place}: {warning}"));
+        console.say(format_args!("lidarpc: {input}: {warning}"));
     }
     Ok(())
 }
@@ -153,7 +153,7 @@ pub fn settle(frames: &[FoundFile], config: &mut EncoderConfig, place: &str, con
 pub fn settle_layout(
     frames: &[FoundFile],
     config: &mut EncoderConfig,
-    place: &str,
+    input: &str,
     console: Console,
 ) -> Result<()> {
     match record_length::examine(&samples(frames)?, config.headerless.as_ref()) {
@@ -170,7 +170,7 @@ pub fn settle_layout(
                 .as_ref()
                 .map_or(String::new(), |given| format!(", not as --layout {given} has it"));
             console.say(format_args!(
-                "lidarpc: {place}: .bin files look like records of {bytes} bytes{given}, {says} --layout {letters}; \
+                "lidarpc: {input}: .bin files look like records of {bytes} bytes{given}, {says} --layout {letters}; \
                  {advice}"
             ));
             config.headerless.get_or_insert(layout);
@@ -178,12 +178,12 @@ pub fn settle_layout(
         Verdict::NoFloats => {
             let come_back = if config.is_exact() { "they come back exactly, but if" } else { "if" };
             console.say(format_args!(
-                "lidarpc: {place}: .bin files do not look like float32 x, y, z, intensity; {come_back} --layout says \
+                "lidarpc: {input}: .bin files do not look like float32 x, y, z, intensity; {come_back} --layout says \
                  what they hold, they may get smaller"
             ));
         }
         Verdict::OtherLength(bytes) => console.say(format_args!(
-            "lidarpc: {place}: .bin files are no whole number of records of {bytes} bytes, as --layout has them; \
+            "lidarpc: {input}: .bin files are no whole number of records of {bytes} bytes, as --layout has them; \
              give the right layout, or none"
         )),
     }
@@ -194,15 +194,15 @@ pub fn settle_layout(
 ///
 /// # Errors
 /// If `strict`.
-pub fn check_left_out(left_out: &LeftOut, place: &str, strict: bool, console: Console) -> Result<()> {
+pub fn check_left_out(left_out: &LeftOut, input: &str, strict: bool, console: Console) -> Result<()> {
     if left_out.is_empty() {
         return Ok(());
     }
-    let what = left_out.to_string().replace(char::is_control, "?");
+    let what = one_line(left_out);
     if strict {
-        bail!("{place}: holds what would not come back: {what}; move it away, or encode without --strict");
+        bail!("{input}: holds what would not come back: {what}; move it away, or encode without --strict");
     }
-    console.say(format_args!("lidarpc: {place}: left out {what}"));
+    console.say(format_args!("lidarpc: {input}: left out {what}"));
     Ok(())
 }
 

@@ -167,8 +167,10 @@ impl Info {
                 let mut frames = Vec::new();
                 for ((number, frame), entry) in (entry.first_frame..).zip(group.frames).zip(&entry.frames) {
                     let Stamp { kind, track, time } = entry.stamp;
+                    let parameters = FrameParameters::of(&frame);
+                    let parameters = parameters.map_err(|e| e.within_frame(number, &frame.header.name))?;
                     frames.push(FrameInfo {
-                        coding: FrameParameters::of(&frame)?.to_string(),
+                        coding: parameters.to_string(),
                         number,
                         kind: kind.name(),
                         track,

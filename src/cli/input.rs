@@ -94,7 +94,7 @@ impl Input {
 }
 
 /// Says that files beside the scans are left out because only some frames are wanted.
-pub fn tell_files_left_out(path: &Path, files: u64, console: Console) {
+pub fn report_files_left_out(path: &Path, files: u64, console: Console) {
     if files > 0 {
         let (name, files) = (name_of(path), table::count(files, "file"));
         console.say(format_args!(

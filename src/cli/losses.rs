@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::container::Lost;
-use crate::ground::error::Error;
+use crate::ground::error::{Error, one_line};
 use crate::stream::FrameRange;
 use anyhow::Result;
 use serde::Serialize;
@@ -44,7 +44,7 @@ impl Losses {
     }
 
     /// Reports one loss in a line, with all frames that were lost with it.
-    pub fn tell(&mut self, lost: &Lost) {
+    pub fn report_loss(&mut self, lost: &Lost) {
         self.places += 1;
         let (from, to) = (lost.bytes.start, lost.bytes.end);
         let frames = match &lost.frames {
@@ -80,14 +80,14 @@ impl Losses {
         if !lost.names.is_empty() {
             line.push_str(if lost.names.len() > MOST_NAMES { ", ...)" } else { ")" });
         }
-        eprintln!("lidarpc: {}", format!("{line}: {}", lost.why).replace(char::is_control, "?"));
+        eprintln!("lidarpc: {}", one_line(format_args!("{line}: {}", lost.why)));
     }
 
     /// Reports the loss of a frame that is intact, but cannot be written.
-    pub fn tell_frame(&mut self, why: &Error) {
+    pub fn report_frame(&mut self, why: &Error) {
         self.places += 1;
         self.frames += 1;
-        eprintln!("lidarpc: {}: {}", self.input, why.to_string().replace(char::is_control, "?"));
+        eprintln!("lidarpc: {}: {}", self.input, one_line(why));
     }
 
     /// The machine-readable report; `None` if nothing was lost.

@@ -8,9 +8,7 @@ use crate::files::{ArrivedFile, ArrivingFrames, collected};
 use crate::frame::EncoderConfig;
 use crate::ground::error;
 use crate::ground::team::resolve_threads;
-use crate::ground::team::{on, pool_for_frames};
-use crate::stream::encoder::encode_known;
-use crate::stream::scanner_choice::KeptScanners;
+use crate::stream::encoder::MessageCoder;
 use crate::stream::{self, DecodeOptions, FrameInput};
 use crate::study::metrics;
 use anyhow::Result;
@@ -52,8 +50,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> Re
     let start = Instant::now();
     let mut arriving = ArrivingFrames::new(io::stdin()).with_any_names();
     let mut output = FileOutput::binary(args.output(), args.force)?;
-    let (mut sizes, mut scanners) = (Sizes::default(), KeptScanners::default());
-    let pool = pool_for_frames(config.threads)?;
+    let (mut sizes, mut coder) = (Sizes::default(), MessageCoder::new(config.clone())?);
     let mut writer = output.writer();
     let encoded = arriving.by_ref().try_for_each(|file| {
         let ArrivedFile { name, bytes } = file.map_err(|error| match error {
@@ -62,9 +59,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> Re
         })?;
         sizes.messages += 1;
         sizes.file_bytes += bytes.len() as u64;
-        let frame = FrameInput::memory(name.clone(), bytes);
-        let scanners = scanners.for_next(|| Some(frame.clone()), config)?;
-        let payload = on(pool.as_ref(), || encode_known(vec![frame], &scanners, config))?;
+        let payload = coder.encode(FrameInput::memory(name.clone(), bytes))?;
         sizes.stream_bytes += payload.len() as u64;
         write_message(&mut writer, &name, &payload)
     });
@@ -120,7 +115,7 @@ pub fn decode(args: &DecodeArgs, console: Console) -> Result<()> {
     if let Some(folder) = folder {
         folder.finish()?;
     }
-    converter.tell_unconverted(console);
+    converter.report_unconverted(console);
     sizes.report(args.json, console, name_of(args.output()), None, start)
 }
 

@@ -3,7 +3,6 @@
 mod args;
 mod bench;
 mod cat;
-mod cleanup;
 mod coding;
 mod console;
 mod conversion;
@@ -26,6 +25,7 @@ mod record_length;
 mod recording;
 mod repair;
 mod report;
+mod signals;
 mod stats;
 mod synth;
 mod table;
@@ -99,7 +99,7 @@ fn keep_memory() {}
 /// # Errors
 /// All errors; [`errors::report`] prints them and chooses the exit code.
 fn run(args: &Args) -> anyhow::Result<()> {
-    cleanup::on_signals();
+    signals::on_signals();
     let console = Console { is_quiet: args.quiet };
     match &args.command {
         Command::Encode(command) => dispatch::encode(command, console),

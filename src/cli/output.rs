@@ -10,16 +10,18 @@ use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
+use crate::container::FrameHeader;
 use crate::files::Give;
 use crate::files::names::is_safe_path;
 use crate::ground::error::{Error, Result};
+use crate::ground::team::locked;
 use serde::Serialize;
 use tempfile::{NamedTempFile, TempDir, TempPath};
 
 use super::args::wrong_usage;
-use super::cleanup::RemoveOnSignal;
 use super::errors::about;
 use super::input::is_dash;
+use super::signals::RemoveOnSignal;
 use super::temporary;
 
 /// One file to write.
@@ -102,7 +104,7 @@ impl FileOutput {
     pub fn finish(self) -> Result<()> {
         let FileOutput::Temporary { file, target, force, _remove } = self else { return Ok(()) };
         file.as_file().sync_all()?;
-        Ok(place(file.into_temp_path(), &target, force)?)
+        Ok(rename_durably(file.into_temp_path(), &target, force)?)
     }
 }
 
@@ -148,9 +150,9 @@ impl FrameNames {
     ///
     /// # Errors
     /// If no file can have it: it is not a [safe path](is_safe_path), or another frame has it.
-    pub fn check(&mut self, number: u64, name: &str) -> Result<()> {
-        // Messages have none, and points in memory need none.
-        let fault = if name.is_empty() {
+    pub fn check(&mut self, number: u64, header: &FrameHeader) -> Result<()> {
+        let name = &header.name;
+        let fault = if !header.names_file() {
             return Ok(());
         } else if !is_safe_path(name.strip_suffix('/').unwrap_or(name)) {
             "which is not safe for a file"
@@ -189,7 +191,7 @@ pub fn through_link(path: &Path) -> PathBuf {
 ///
 /// # Errors
 /// If this fails, or if there is a file with that name and `force` is not set.
-pub fn place(file: TempPath, target: &Path, force: bool) -> io::Result<()> {
+pub fn rename_durably(file: TempPath, target: &Path, force: bool) -> io::Result<()> {
     let placed = if force { file.persist(target) } else { file.persist_noclobber(target) };
     placed.map_err(|e| e.error)?;
     sync_folder(parent(target));
@@ -267,7 +269,7 @@ impl FolderOutput {
         let (temporary, target) = (self.temporary.path().join(name), self.folder.join(name));
         if folder.is_some() {
             fs::create_dir_all(&temporary).map_err(|e| Error::from(e).at(&target))?;
-            self.names.lock().unwrap_or_else(PoisonError::into_inner).push(name.to_owned());
+            locked(&self.names).push(name.to_owned());
             return write(&mut |piece| match piece {
                 [] => Ok(()),
                 _ => {
@@ -297,7 +299,7 @@ impl FolderOutput {
         })?;
         drop(file);
         self.syncer.add(Written { temporary, target });
-        self.names.lock().unwrap_or_else(PoisonError::into_inner).push(name.to_owned());
+        locked(&self.names).push(name.to_owned());
         Ok(size)
     }
 

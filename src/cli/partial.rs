@@ -9,7 +9,7 @@ use crate::ground::error::{Error, Result};
 use tempfile::TempPath;
 
 use super::errors::about;
-use super::output::{not_created, parent, place, replaceable, through_link};
+use super::output::{not_created, parent, rename_durably, replaceable, through_link};
 use super::temporary;
 
 /// The suffix that is added to the output's name for the partial stream.
@@ -74,7 +74,7 @@ impl PartialOutput {
         self.stream.file.sync_all()?;
         let mut stream = TempPath::try_from_path(&self.stream.path)?;
         stream.disable_cleanup(true);
-        place(stream, &self.target, self.force)?;
+        rename_durably(stream, &self.target, self.force)?;
         // The stream is complete. A journal without a partial stream is ignored by the next run.
         let _ = fs::remove_file(&self.journal);
         Ok(())

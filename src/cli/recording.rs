@@ -20,6 +20,7 @@ use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, FormatArg, StatsArgs, check_usage, wrong_usage};
 use super::console::Console;
+use super::conversion::name_of_points;
 use super::errors::{NotWhole, about};
 use super::input::{is_dash, is_named_as_recording};
 use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
@@ -296,7 +297,7 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, console: Console) -> Result<(C
     let mut copied = CopySummary::default();
     for (number, cloud) in clouds.by_ref().enumerate() {
         let (mut scan, _) = cloud.map_err(at)?.into_parts();
-        scan.name = format!("{number:06}");
+        scan.name = name_of_points(&scan.name, number as u64);
         let file = convert(&scan, format).map_err(at)?;
         let bytes = folder.write(&file.name, |give| write(&file, give)).map_err(at)?;
         copied.messages += 1;

@@ -36,7 +36,7 @@ pub fn run(args: &RepairArgs, console: Console) -> Result<()> {
     let mut losses = Losses::new(&args.input, FrameRange::default());
     let named = Named { path: PathBuf::from(input), stream: BufReader::new(stream) };
     let limits = args.limits.limits();
-    let frames = output.write(|out| edit::repair(named, &limits, out, |lost| losses.tell(&lost)));
+    let frames = output.write(|out| edit::repair(named, &limits, out, |lost| losses.report_loss(&lost)));
     let name = name_of_output(&args.output);
     let frames = frames.map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;

@@ -4,6 +4,7 @@
 use crate::container::FrameKind;
 use crate::files::sequence::LeftOut;
 use crate::frame::{EncoderConfig, IntensityFidelity, PositionFidelity};
+use crate::ground::error::one_line;
 use crate::stream::EncodeStatistics;
 use crate::study::metrics;
 use serde::Serialize;
@@ -82,7 +83,7 @@ pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &EncodeStatis
     );
     let mut plain = plain_files(encoded);
     if let Some(first) = plain.next() {
-        let first = first.replace(char::is_control, "?");
+        let first = one_line(first);
         line.push_str(&match plain.count() {
             0 => format!(", 1 file as plain bytes ({first})"),
             more => format!(", {} files as plain bytes (such as {first})", more + 1),

@@ -8,7 +8,9 @@ mod steps;
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Seek, Write};
 
-use crate::container::{FrameKind, Record, SectionKind, StreamReader};
+use crate::container::{
+    CodedFrame, FrameHeader, FrameKind, Record, SectionKind, StreamReader, payload_bytes_of,
+};
 use crate::frame::{FrameParameters, OriginalFile};
 use crate::ground::error::Limits;
 use crate::study::metrics;
@@ -96,13 +98,43 @@ fn read(args: &StatsArgs, input: Input, console: Console) -> crate::ground::erro
     Ok(stats)
 }
 
+/// Sums over the frames of a stream.
+#[derive(Default)]
+struct Sums {
+    frames: u64,
+    files_beside: u64,
+    originals: OriginalFile,
+    /// As in [`Stats`].
+    fidelity: BTreeMap<String, u64>,
+    /// Bytes of the sections of each kind, in the order of [`SectionKind::ALL`].
+    by_kind: [u64; SectionKind::ALL.len()],
+}
+
+impl Sums {
+    /// Adds the next frame.
+    fn add(&mut self, frame: &CodedFrame) -> crate::ground::error::Result<()> {
+        let FrameHeader { name, stamp, .. } = &frame.header;
+        let number = self.frames + self.files_beside;
+        let parameters = FrameParameters::of(frame).map_err(|error| error.within_frame(number, name))?;
+        self.originals.add(&parameters.original_of(&frame.header));
+        if stamp.kind == FrameKind::Beside {
+            self.files_beside += 1;
+        } else {
+            self.frames += 1;
+            *self.fidelity.entry(parameters.fidelity()).or_default() += 1;
+        }
+        // Sections that this program does not know count as the container's.
+        for (kind, bytes) in SectionKind::ALL.into_iter().zip(&mut self.by_kind) {
+            *bytes += payload_bytes_of(&frame.sections, kind) as u64;
+        }
+        Ok(())
+    }
+}
+
 /// Adds up the sizes of all parts; decodes only one scan of each scanner.
 fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Stats> {
     let mut reader = StreamReader::open(input, limits)?;
-    let mut by_kind = SectionKind::ALL.map(|_| 0u64);
-    let (mut frames, mut files_beside, mut scanner_bytes) = (0, 0, 0);
-    let mut fidelity = BTreeMap::new();
-    let (mut originals, mut scanners) = (OriginalFile::default(), KnownScanners::default());
+    let (mut sums, mut scanners, mut scanner_bytes) = (Sums::default(), KnownScanners::default(), 0);
     while let Some(record) = reader.next_record()? {
         match record {
             Record::Scanner(record) => {
@@ -110,27 +142,12 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
                 scanners.add(&record)?;
             }
             Record::Group(group) => {
-                scanners.sample(frames + files_beside, &group, &limits)?;
-                for frame in &group.frames {
-                    match frame.header.stamp.kind {
-                        FrameKind::Beside => files_beside += 1,
-                        _ => {
-                            frames += 1;
-                            *fidelity.entry(FrameParameters::of(frame)?.fidelity()).or_default() += 1;
-                        }
-                    }
-                    originals.add(&OriginalFile::of(frame)?);
-                    for section in &frame.sections {
-                        let place = SectionKind::ALL.iter().position(|kind| *kind == section.kind);
-                        // Sections that this program does not know count as the container's.
-                        if let Some(place) = place {
-                            by_kind[place] += section.payload.len() as u64;
-                        }
-                    }
-                }
+                scanners.sample(sums.frames + sums.files_beside, &group, &limits)?;
+                group.frames.iter().try_for_each(|frame| sums.add(frame))?;
             }
         }
     }
+    let Sums { frames, files_beside, originals, fidelity, by_kind } = sums;
     let stream_bytes = reader.position();
     let OriginalFile { file_size: file_bytes, points, outliers, lost } = originals;
     let part = |name, bytes| Part { name, bytes, bits_per_point: metrics::bits_per_point(bytes, points) };

@@ -12,7 +12,7 @@ use crate::files::names::natural_cmp;
 use crate::files::sequence::{FoundFile, LeftOut, LeftOutKind, STREAM_EXTENSION};
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::Error;
-use crate::ground::team::resolve_threads;
+use crate::ground::team::{locked, resolve_threads};
 use crate::study::metrics;
 use anyhow::{Context, Result, bail, ensure};
 use indicatif::ProgressBar;
@@ -20,7 +20,7 @@ use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, wrong_usage};
 use super::console::Console;
-use super::encoding::{Done, encode_found};
+use super::encoding::{Done, encode_inputs};
 use super::errors::{NotWhole, say};
 use super::frames::{self, InputFiles};
 use super::input::{is_dash, is_pipe};
@@ -93,7 +93,7 @@ fn encode_each(
                         bar.suspend(|| say(error));
                     }
                     bar.inc(drive.found.frames.len() as u64);
-                    let mut reports = reports.lock().unwrap_or_else(PoisonError::into_inner);
+                    let mut reports = locked(&reports);
                     reports.insert(&drive.output, report);
                 }
             });
@@ -223,7 +223,7 @@ fn encode_drive(
     }
     let mut config = config.clone();
     frames::settle(&drive.found.frames, &mut config, &place, console)?;
-    let Done { encoded, was_complete, .. } = encode_found(args, &config, &drive.found, Console::SILENT)?;
+    let Done { encoded, was_complete, .. } = encode_inputs(args, &config, &drive.found, Console::SILENT)?;
     if args.rm {
         drive.found.delete(&args.inputs, &encoded)?;
     }

@@ -1,12 +1,14 @@
 //! `lidarpc verify`
 
-use std::io::{self, Write};
+use std::io::{self, BufReader, Write};
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use crate::container::{FrameHeader, FrameKind};
+use crate::edit::{self, Recovered};
 use crate::ground::error::Error;
 use crate::ground::lanes::keep_to_plain_code;
+use crate::ground::team::locked;
 use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Result, bail};
 use serde::Serialize;
@@ -14,7 +16,8 @@ use serde::Serialize;
 use super::args::{VerifyArgs, wrong_usage};
 use super::console::Console;
 use super::errors::{about, line};
-use super::input::{Originals, for_each_file, is_recording, name_of, open};
+use super::input::{Input, Originals, for_each_file, is_recording, name_of, open};
+use super::losses::{LossReport, Losses};
 use super::output::{FrameNames, print_json};
 use super::{recording, table};
 
@@ -26,6 +29,9 @@ struct Report {
     /// What is wrong, if the file is damaged.
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
+    /// All that is lost by damage, which `error` is only the first of; `None` if the input cannot be read again.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lost: Option<LossReport>,
     frames: u64,
     /// Files beside the scans; their bytes are included in `file_bytes`.
     files_beside: u64,
@@ -119,14 +125,15 @@ fn verify(
     let compared = originals.as_mut().map(Mutex::new);
     let names = Mutex::new(FrameNames::default());
     let check = |frame: DecodedFrame| {
-        let DecodedFrame { number, header: FrameHeader { name, file_size, stamp, .. }, .. } = &frame;
+        let DecodedFrame { number, header, .. } = &frame;
+        let FrameHeader { name, file_size, stamp, .. } = header;
         let counted = (*file_size, stamp.kind == FrameKind::Beside);
         // Points in memory and messages may have any names.
         if matches!(stamp.kind, FrameKind::File | FrameKind::Beside) {
-            names.lock().unwrap_or_else(PoisonError::into_inner).check(*number, name)?;
+            locked(&names).check(*number, header)?;
         }
         let Some(originals) = &compared else { return frame.write(|_| Ok(())).map(|()| counted) };
-        let original = originals.lock().unwrap_or_else(PoisonError::into_inner).take(name)?;
+        let original = locked(originals).take(name)?;
         if original != frame.to_bytes()? {
             return Err(Error::Usage(format!("frame {number} ({name:?}) is not the original")));
         }
@@ -140,5 +147,27 @@ fn verify(
         Ok(())
     });
     bar.finish_and_clear();
-    decoded.map(drop).map_err(|error| about(error, &name_of(path)))
+    let Err(error) = decoded else { return Ok(()) };
+    if error.is_damage() {
+        report.lost = find_losses(path, &options)?;
+    }
+    Err(about(error, &name_of(path)))
+}
+
+/// Reports all damage of a stream, of which an error tells only the first; `None` if the stream cannot be read
+/// again.
+fn find_losses(path: &Path, options: &DecodeOptions) -> Result<Option<LossReport>> {
+    let Input::File(file) = open(path)? else { return Ok(None) };
+    let mut losses = Losses::new(path, options.frames);
+    let tell = |part| {
+        if let Recovered::Lost(lost) = part {
+            losses.report_loss(&lost);
+        }
+        Ok(())
+    };
+    match edit::recover(BufReader::new(file), options, tell) {
+        // That nothing is intact is what the error says.
+        Ok(_) | Err(Error::DamagedInput(_)) => Ok(losses.report()),
+        Err(error) => Err(about(error, &name_of(path))),
+    }
 }

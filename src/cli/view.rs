@@ -60,7 +60,7 @@ fn write_page(args: &ViewArgs, path: &Path, console: Console) -> Result<()> {
         return page_of(args, path, (stream, &name), console);
     }
     let config = encoder_config("view", &args.coding, 0);
-    let frames = FrameInput::found(find_frames(std::slice::from_ref(&args.input))?.frames);
+    let frames = FrameInput::from_files(find_frames(std::slice::from_ref(&args.input))?.frames);
     let (_, stream) = encode_in_memory(&frames, &config, console)?;
     page_of(args, path, (Cursor::new(stream), &name), console)
 }
@@ -105,8 +105,10 @@ fn decode(args: &ViewArgs, config: &EncoderConfig) -> Result<Compared> {
     } else {
         let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
         only(args.frame).check(frames.len() as u64).map_err(|error| about(error, &name))?;
-        let frame =
-            FrameInput::found(frames).into_iter().nth(args.frame as usize).map(|frame| frame.of_drive(0));
+        let frame = FrameInput::from_files(frames)
+            .into_iter()
+            .nth(args.frame as usize)
+            .map(|frame| frame.of_drive(0));
         let (_, stream) = encode_in_memory(frame.as_slice(), config, Console::SILENT)?;
         (decode_one(Cursor::new(stream), only(0)), frame.map(|frame| frame.read()).transpose()?)
     };

@@ -2,7 +2,7 @@
 
 use super::index::FrameEntry;
 use super::scanner::ScannerId;
-use super::section::Section;
+use super::section::{Section, payload_bytes};
 use super::stamp::{FrameKind, Stamp};
 use super::wire::{take, take_u32};
 use crate::ground::error::{Error, Limits, Result};
@@ -41,6 +41,13 @@ impl FrameHeader {
             file_crc: crc32c::crc32c(bytes),
             point_count,
         }
+    }
+
+    /// Whether the name is that of a file. Messages have none; points in memory need none, or have that of a folder
+    /// for all of their source.
+    pub fn names_file(&self) -> bool {
+        let names_folder = self.stamp.kind == FrameKind::Points && self.name.ends_with('/');
+        !self.name.is_empty() && !names_folder
     }
 
     /// Appends the header.
@@ -128,7 +135,7 @@ const PADDING: SectionKind = SectionKind::Skippable(SKIPPABLE);
 /// The largest decoded size, in bytes, of a frame with these sections; also the limit for its records and for
 /// the cells of its range image. It bounds the time and memory that a short stream can demand. FORMAT.md 2.5.
 pub fn allowance(sections: &[Section]) -> u64 {
-    let bytes: u64 = sections.iter().map(|section| section.payload.len() as u64).sum();
+    let bytes = payload_bytes(sections) as u64;
     FREE.saturating_add(bytes.saturating_mul(UNFOLDED_BYTES))
 }
 

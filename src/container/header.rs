@@ -59,7 +59,7 @@ impl StreamHeader {
     }
 
     /// The header in these bytes; `None` if the magic number is wrong.
-    pub(super) fn of_bytes(bytes: &[u8; FIELDS_LENGTH]) -> Option<Self> {
+    pub(super) fn from_bytes(bytes: &[u8; FIELDS_LENGTH]) -> Option<Self> {
         let (version, flags) = (LittleEndian::read_u16(&bytes[4..6]), LittleEndian::read_u16(&bytes[6..8]));
         bytes.starts_with(&MAGIC).then_some(StreamHeader { version, flags })
     }
@@ -76,7 +76,7 @@ impl StreamHeader {
         }
         read_exact(input, &mut fields[4..], "stream header")?;
         read_exact(input, &mut crc, "stream header")?;
-        let header = Self::of_bytes(&fields).filter(|_| crc32c::crc32c(&fields).to_le_bytes() == crc);
+        let header = Self::from_bytes(&fields).filter(|_| crc32c::crc32c(&fields).to_le_bytes() == crc);
         let header = header.ok_or_else(|| Error::corrupt("stream header: checksum does not match"))?;
         header.check()?;
         Ok(header)

@@ -218,11 +218,11 @@ impl End {
     ///
     /// # Errors
     /// If it is not one.
-    pub fn of_payload(payload: &[u8]) -> Result<Self> {
+    pub fn from_payload(payload: &[u8]) -> Result<Self> {
         let parts =
             payload.split_first_chunk().and_then(|(offset, rest)| Some((offset, rest.try_into().ok()?)));
         let end = parts.and_then(|(offset, header)| {
-            Some(End { index_offset: u64::from_le_bytes(*offset), header: StreamHeader::of_bytes(header)? })
+            Some(End { index_offset: u64::from_le_bytes(*offset), header: StreamHeader::from_bytes(header)? })
         });
         end.ok_or_else(|| {
             Error::corrupt("it is not as long as it should be, or does not hold the stream header")

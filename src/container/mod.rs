@@ -25,11 +25,11 @@ pub use index::{FrameEntry, GroupEntry, Index, ScannerEntry};
 pub use reader::{IndexedReader, Record, StreamReader};
 pub use salvage::{Lost, SalvageReader, Salvaged};
 pub use scanner::{ScannerId, ScannerRecord};
-pub use section::Section;
-
-pub use crate::ground::SectionKind;
+pub use section::{Section, payload_bytes, payload_bytes_of};
 pub use stamp::{FrameKind, Stamp, Time, TimeSource};
 pub use writer::StreamWriter;
+
+pub use crate::ground::SectionKind;
 
 #[cfg(test)]
 mod tests;

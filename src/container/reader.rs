@@ -135,7 +135,7 @@ impl<R: Read> StreamReader<R> {
     }
 
     fn accept_end(&mut self, raw: &RawRecord) -> Result<()> {
-        let end = End::of_payload(&raw.payload)?;
+        let end = End::from_payload(&raw.payload)?;
         if self.index_offset != Some(end.index_offset) {
             return Err(Error::corrupt("it does not point at the index"));
         }
@@ -203,7 +203,7 @@ impl<R: Read + Seek> IndexedReader<R> {
         let end_offset = self.input.size().checked_sub(End::RECORD_LENGTH).ok_or_else(cut_short)?;
         let end = self
             .record_at(end_offset, END)
-            .and_then(|raw| End::of_payload(&raw.payload))
+            .and_then(|raw| End::from_payload(&raw.payload))
             .and_then(|end| match header {
                 Some(header) => check_header(&end, &header).map(|()| end),
                 None => end.header.check().map(|()| end),

@@ -85,7 +85,7 @@ impl<R: Read + Seek> SalvageReader<R> {
             SCANNER => ScannerRecord::read_from(&raw.payload).is_ok(),
             GROUP => Group::read_from(&raw.payload, &limits).is_ok(),
             INDEX => Index::read_from(&raw.payload).is_ok(),
-            END => End::of_payload(&raw.payload).is_ok(),
+            END => End::from_payload(&raw.payload).is_ok(),
             _ => false,
         };
         let records = find_records(&mut input, start, &limits, is_one)?;
@@ -124,7 +124,7 @@ impl<R: Read + Seek> SalvageReader<R> {
         let Some(end) = self.records.iter().rfind(|record| record.kind == END).copied() else {
             return Ok(());
         };
-        End::of_payload(&self.read(end)?.payload)?.header.check()
+        End::from_payload(&self.read(end)?.payload)?.header.check()
     }
 
     fn read_index(&mut self) -> Result<()> {
@@ -231,7 +231,7 @@ impl<R: Read + Seek> SalvageReader<R> {
             _ => None,
         };
         let points_at_index = |(index, end): (FoundRecord, FoundRecord)| {
-            let end = End::of_payload(&self.read(end)?.payload)?;
+            let end = End::from_payload(&self.read(end)?.payload)?;
             Ok::<_, Error>((end.index_offset == index.offset).then_some(index))
         };
         let Some(index) = end.map(points_at_index).transpose()?.flatten() else {

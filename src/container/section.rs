@@ -46,6 +46,16 @@ impl Section {
     }
 }
 
+/// Bytes of the payloads of sections.
+pub fn payload_bytes<'s>(sections: impl IntoIterator<Item = &'s Section>) -> usize {
+    sections.into_iter().map(|section| section.payload.len()).sum()
+}
+
+/// Bytes of the payloads of the sections of this kind.
+pub fn payload_bytes_of(sections: &[Section], kind: SectionKind) -> usize {
+    payload_bytes(sections.iter().filter(|section| section.kind == kind))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -212,7 +212,7 @@ fn every_payload_is_an_error_or_is_written_the_same() {
     let mut payload = Vec::new();
     index.write_to(&mut payload);
     check(&payload, Index::read_from, Index::write_to);
-    check(&end_at(5), End::of_payload, |end, out| out.extend(end.to_payload()));
+    check(&end_at(5), End::from_payload, |end, out| out.extend(end.to_payload()));
 }
 
 /// `groups` groups of one frame, whose only section has `length` bytes, all with a scanner of 100 bytes.

@@ -64,9 +64,8 @@ impl Known {
     /// If no decoder could write one of the files beside those before.
     fn add(&mut self, job: &GroupJob) -> Result<()> {
         let stream = self.paths.len() - 1;
-        // Points in memory need no name, and empty names do not conflict.
         let frames = (job.first_frame..).zip(&job.group.frames);
-        for (number, frame) in frames.filter(|(_, frame)| !frame.header.name.is_empty()) {
+        for (number, frame) in frames.filter(|(_, frame)| frame.header.names_file()) {
             let name = &frame.header.name;
             let conflict = match self.names.add(name, (stream, number)) {
                 Ok(()) => continue,

@@ -4,7 +4,7 @@
 //! is copied unchanged.
 
 use crate::container::{CodedFrame, pay_for};
-use crate::frame::group::decode_parts;
+use crate::frame::decoder::decode_parts;
 use crate::frame::parameters::Prediction;
 use crate::frame::sections::{Effort, SectionWriter};
 use crate::frame::syntax::Models;

@@ -5,7 +5,7 @@ use std::io::{Read, Seek, Write};
 use std::ops::Range;
 
 use super::copier::{GroupCopier, Named};
-use crate::container::{Group, Lost, SalvageReader, Salvaged};
+use crate::container::{FrameHeader, Group, Lost, SalvageReader, Salvaged};
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::decoder::{DecodedFrame, decode_group};
 use crate::stream::options::{DecodeOptions, FrameRange};
@@ -127,9 +127,9 @@ impl<R: Read + Seek> RecoveredGroups<R> {
 
     /// Whether a group is a copy of an earlier one; if not, it counts as earlier from now on.
     fn is_copy(&mut self, group: &Group) -> bool {
-        let files = group.frames.iter().map(|frame| &frame.header);
-        let files: Vec<_> = files.map(|file| (file.name.clone(), file.file_size, file.file_crc)).collect();
-        files.iter().any(|(name, ..)| !name.is_empty()) && !self.known.insert(files)
+        let files = || group.frames.iter().map(|frame| &frame.header);
+        let contents = files().map(|file| (file.name.clone(), file.file_size, file.file_crc)).collect();
+        files().any(FrameHeader::names_file) && !self.known.insert(contents)
     }
 
     fn next_part(&mut self) -> Result<Option<Part>> {

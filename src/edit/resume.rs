@@ -33,11 +33,12 @@ use settings::Settings;
 use crate::container::ScannerRecord;
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Result};
-use crate::stream::encoded::{EncodeStatistics, OpenStream};
+use crate::stream::encoder::OpenStream;
 use crate::stream::encoder::{SequenceCoder, groups_of};
 use crate::stream::input::FrameInput;
 use crate::stream::ordered::run_ordered;
 use crate::stream::scanner_choice::{DriveScanners, choose_scanners, records_of};
+use crate::stream::statistics::EncodeStatistics;
 
 /// Advice for a partial stream that cannot be continued.
 const ADVICE: &str = "delete it to start anew, or encode without resuming";

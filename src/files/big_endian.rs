@@ -5,7 +5,7 @@ use crate::scan::{Layout, ScanFile, Wrapping};
 
 /// Splits a file whose records follow one another from byte `start` on, at most `records` of them. `None` if
 /// the layout is not valid.
-pub(super) fn parse(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
+pub(crate) fn parse(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
     let layout = Layout { wrapping: Wrapping::BigEndian, ..layout };
     layout.validate().ok()?;
     let parts = Parts::of(bytes, start, layout.stride(), records)?;

@@ -1,15 +1,15 @@
 //! Named fields of a record, as the headers of files declare them.
 
-use crate::scan::{Field, Layout, MAX_NAME, MAX_STRIDE, ScalarType, Wrapping};
+use crate::scan::{Field, INTENSITY_TYPES, Layout, MAX_NAME, MAX_STRIDE, ScalarType, Wrapping};
 
 /// The name given to an intensity without a name.
-pub(super) const INTENSITY: &str = "intensity";
+pub(crate) const INTENSITY: &str = "intensity";
 /// The usual names of the intensity, the likeliest first; `scalar_intensity` is CloudCompare's.
 const INTENSITY_NAMES: [&str; 5] = [INTENSITY, "scalar_intensity", "i", "reflectivity", "reflectance"];
 /// Tables with fewer columns are not points.
 pub(super) const FEWEST_COLUMNS: usize = 3;
 /// The names of the coordinates.
-pub(super) const POSITION: [&str; 3] = ["x", "y", "z"];
+pub(crate) const POSITION: [&str; 3] = ["x", "y", "z"];
 /// PCL's name for padding.
 const PADDING: &str = "_";
 
@@ -109,9 +109,7 @@ pub(super) fn layout_of(fields: Vec<Field>, wrapping: Wrapping) -> Option<Layout
         (Some(x), Some(y), Some(z)) => Some([x, y, z]),
         _ => None,
     };
-    let suits = |field: &Field| {
-        matches!(field.scalar, ScalarType::F32 | ScalarType::U8 | ScalarType::U16) && field.count == 1
-    };
+    let suits = |field: &Field| INTENSITY_TYPES.contains(&field.scalar) && field.count == 1;
     let intensity = find_intensity(&fields, suits).map(|at| at as u32);
     Some(Layout { wrapping, fields, position, intensity })
 }

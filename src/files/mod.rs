@@ -37,11 +37,14 @@ mod widened;
 
 #[cfg(feature = "cli")]
 pub use arrival::{ArrivedFile, ArrivingFrames};
+#[cfg(feature = "recordings")]
+pub(crate) use big_endian::parse as big_endian_file;
 pub use convert::{FileFormat, convert, is_convertible};
 pub use field::MOST_FIELDS;
+pub(crate) use field::{INTENSITY, POSITION};
 pub use headerless::HeaderlessLayout;
 pub use point_count::with_point_count;
-pub use records::MOST_INTENSITY;
+pub(crate) use records::{are_intensities, plain_file};
 
 use self::table::Table;
 use self::text_records::TextWriter;
@@ -119,7 +122,7 @@ pub fn starts_as_scan(name: &str, start: &[u8]) -> bool {
 
 /// Number of bytes at the beginning of a file that are examined to decide whether it is a scan.
 #[cfg(feature = "cli")]
-pub const TELLING: u64 = 64 << 10;
+pub const SNIFFED_BYTES: u64 = 64 << 10;
 
 /// Whether a file with this name is taken for a scan among the others of a folder or archive; `None` if its
 /// bytes decide, see [`starts_as_scan_of_folder`].
@@ -214,23 +217,6 @@ pub fn rounded_by_file(scan: &ScanFile, bytes: Vec<u8>) -> Option<ScanFile> {
 /// the fields determine their roles. `None` if the records are empty or too long.
 pub fn plain_layout(fields: Vec<Field>) -> Option<Layout> {
     field::layout_of(fields, Wrapping::Plain)
-}
-
-/// Splits a file whose records follow `start` other bytes, at most `records` of them. `None` if the layout is
-/// not valid.
-pub(crate) fn plain_records(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
-    records::plain_file(layout, bytes, start, records)
-}
-
-/// As [`plain_records`], for records with big-endian values.
-#[cfg(feature = "recordings")]
-pub(crate) fn big_endian_records(
-    layout: Layout,
-    bytes: &[u8],
-    start: usize,
-    records: u64,
-) -> Option<ScanFile> {
-    big_endian::parse(layout, bytes, start, records)
 }
 
 /// Plain records are restored by construction, since bytes are only moved.

@@ -156,7 +156,7 @@ mod tests {
 
     fn is_understood(scan: &ScanFile) {
         assert_eq!((scan.layout.stride(), scan.layout.position_offsets()), (48, Some([0, 4, 8])));
-        assert_eq!(scan.layout.intensity_place(), Some((16, ScalarType::F32)));
+        assert_eq!(scan.layout.intensity_offset(), Some((16, ScalarType::F32)));
         let places: Vec<_> = scan
             .layout
             .channels()

@@ -10,7 +10,7 @@ use crate::scan::{Channel, Layout, PointCloud, ScalarType, ScanFile, Wrapping};
 
 /// Splits a file whose records follow one another from byte `start` on: at most `records` of them, fewer if
 /// the file is shorter. `None` if the layout is not valid.
-pub(super) fn plain_file(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
+pub(crate) fn plain_file(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
     layout.validate().ok()?;
     let parts = Parts::of(bytes, start, layout.stride(), records)?;
     Some(parts.file(layout, parts.body))
@@ -51,8 +51,12 @@ impl<'b> Parts<'b> {
     }
 }
 
-/// The largest whole-number intensity that the intensity models support.
-pub const MOST_INTENSITY: f32 = 511.0;
+/// Whether the intensity models support these values of an intensity of this type.
+pub fn are_intensities(scalar: ScalarType, mut values: impl Iterator<Item = f32>) -> bool {
+    /// The largest whole number that they support.
+    const MOST: f32 = 511.0;
+    scalar != ScalarType::U16 || values.all(|value| value <= MOST)
+}
 
 /// Converts complete records, one after the other, to points. The layout must be valid. If integer
 /// intensities exceed the supported maximum, they become a channel: the returned layout then has no
@@ -66,7 +70,7 @@ pub(super) fn split(mut layout: Layout, body: &[u8]) -> (Layout, PointCloud) {
     let positions = layout.position_offsets().map_or_else(Vec::new, |[x, y, z]| {
         records.clone().map(|record| [value(record, x), value(record, y), value(record, z)]).collect()
     });
-    let mut intensity: Vec<f32> = match layout.intensity_place() {
+    let mut intensity: Vec<f32> = match layout.intensity_offset() {
         Some((at, ScalarType::F32)) => records.map(|record| value(record, at)).collect(),
         Some((at, ScalarType::U16)) => {
             records.map(|record| LittleEndian::read_u16(&record[at..]).into()).collect()
@@ -74,8 +78,8 @@ pub(super) fn split(mut layout: Layout, body: &[u8]) -> (Layout, PointCloud) {
         Some((at, _)) => records.map(|record| record[at].into()).collect(),
         None => Vec::new(),
     };
-    let is_wide = layout.intensity_place().is_some_and(|(_, scalar)| scalar == ScalarType::U16);
-    if is_wide && intensity.iter().any(|&value| value > MOST_INTENSITY) {
+    let scalar = layout.intensity_offset().map(|(_, scalar)| scalar);
+    if scalar.is_some_and(|scalar| !are_intensities(scalar, intensity.iter().copied())) {
         layout.intensity = None;
         intensity.clear();
     }
@@ -177,7 +181,7 @@ fn fill(layout: &Layout, cloud: &PointCloud, records: Range<usize>, body: &mut [
             }
         }
     }
-    if let Some((at, scalar)) = layout.intensity_place() {
+    if let Some((at, scalar)) = layout.intensity_offset() {
         for (record, value) in body.chunks_exact_mut(stride).zip(&cloud.intensity[records.clone()]) {
             // Rounded intensities need not be whole numbers.
             match scalar {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::{fmt, fs};
 
 use super::names::{FileNames, NameConflict, check_name, is_safe_path, natural_cmp};
-use super::{EXTENSIONS, TELLING, is_scan_by_name, starts_as_scan_of_folder, times};
+use super::{EXTENSIONS, SNIFFED_BYTES, is_scan_by_name, starts_as_scan_of_folder, times};
 use crate::ground::error::{Error, Limits, Result};
 
 /// Where KITTI, KITTI-360 and Argoverse 2 store the scans of a drive, relative to its folder.
@@ -357,7 +357,7 @@ impl Tree {
 fn is_scan_inside(path: &Path, name: &str) -> bool {
     let is_file = fs::metadata(path).is_ok_and(|kind| kind.is_file());
     let mut start = Vec::new();
-    let read = || fs::File::open(path).and_then(|file| file.take(TELLING).read_to_end(&mut start));
+    let read = || fs::File::open(path).and_then(|file| file.take(SNIFFED_BYTES).read_to_end(&mut start));
     is_file && { read }().is_ok() && starts_as_scan_of_folder(name, &start)
 }
 

@@ -6,7 +6,7 @@ use tar::{Archive, EntryType};
 
 use super::arrival::{ArrivedFile, cut_short, read_file, refuse};
 use super::sequence::{LeftOut, LeftOutKind};
-use super::{TELLING, is_scan_by_name, starts_as_scan_of_folder};
+use super::{SNIFFED_BYTES, is_scan_by_name, starts_as_scan_of_folder};
 use crate::ground::error::{Error, Result};
 
 /// Headers and files are padded to multiples of this many bytes.
@@ -60,7 +60,7 @@ impl<R: Read> TarReader<R> {
                 Some(is_scan) => is_scan,
                 None if is_hidden || !is_file => false,
                 None => {
-                    self.input.by_ref().take(size.min(TELLING)).read_to_end(&mut start)?;
+                    self.input.by_ref().take(size.min(SNIFFED_BYTES)).read_to_end(&mut start)?;
                     starts_as_scan_of_folder(name, &start)
                 }
             };

@@ -2,12 +2,10 @@
 
 use std::fmt;
 
+use super::parameters::PART;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, read_within, write_unsigned};
 use crate::scanner::CoordinateGrid;
-
-/// The section of these values, in errors.
-const PART: &str = "frame parameters";
 
 /// How the positions of decoded points are obtained.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -16,7 +16,7 @@ use crate::inter::registration::QuantisedPose;
 use crate::scanner::{EXACT_RANGE_BITS, Scanner};
 
 /// The section's name in errors.
-const PART: &str = "frame parameters";
+pub(super) const PART: &str = "frame parameters";
 
 /// The parameters of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -158,7 +158,7 @@ impl FrameParameters {
     /// If it is cut short, too long, or holds a value that this program does not know.
     pub fn from_payload(mut bytes: &[u8]) -> Result<Self> {
         if bytes.is_empty() {
-            return Err(Error::corrupt("parameters section is missing"));
+            return Err(Error::corrupt("frame parameters: the section is missing"));
         }
         let input = &mut bytes;
         let positions = PositionFidelity::read_from(input)?;
@@ -204,6 +204,11 @@ impl FrameParameters {
 }
 
 impl FrameParameters {
+    /// The original file of the frame with this header.
+    pub fn original_of(&self, header: &FrameHeader) -> OriginalFile {
+        self.source.unwrap_or(OriginalFile::all_points(header.file_size, header.point_count))
+    }
+
     /// How accurately points are restored, in words.
     pub fn fidelity(&self) -> String {
         let FrameParameters { positions, intensity, .. } = self;
@@ -331,15 +336,6 @@ impl RangeCoder {
 }
 
 impl OriginalFile {
-    /// The source of a coded frame.
-    ///
-    /// # Errors
-    /// If the frame's parameters are damaged, or unknown to this program.
-    pub fn of(frame: &CodedFrame) -> Result<Self> {
-        let FrameHeader { file_size, point_count: points, .. } = frame.header;
-        Ok(FrameParameters::of(frame)?.source.unwrap_or(OriginalFile::all_points(file_size, points)))
-    }
-
     /// A file with this size and number of points, none of which is lost.
     pub(crate) fn all_points(file_size: u64, points: u64) -> Self {
         OriginalFile { file_size, points, ..OriginalFile::default() }

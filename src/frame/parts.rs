@@ -33,8 +33,8 @@ pub struct FrameParts {
     pub suffix: Vec<u8>,
     /// Number of records in the file.
     pub records: usize,
-    /// Number of records that are strays; the others are returns of the range image.
-    pub strays: usize,
+    /// The records that are not returns of the range image.
+    pub strays: Strays,
     /// The range image.
     pub image: RangeImage,
     /// Which cells hold a return.
@@ -53,10 +53,6 @@ pub struct FrameParts {
     pub returns: Vec<Return>,
     /// Positions of these.
     pub positions: Vec<[f32; 3]>,
-    pub stray_positions: Vec<[f32; 3]>,
-    /// The trail of each stray, if the model of points coded them.
-    pub stray_trails: Vec<PointTrail>,
-    pub stray_intensity: Vec<f32>,
     /// Intensities of the echoes.
     pub echo_intensity: Vec<f32>,
     pub order: OrderExceptions,
@@ -81,6 +77,17 @@ pub struct FrameParts {
     moved: Option<Arc<Vec<[f32; 3]>>>,
 }
 
+/// The records of a frame that are not returns of its range image.
+#[derive(Clone, Debug, Default)]
+pub struct Strays {
+    pub count: usize,
+    /// Empty if the records have no position.
+    pub positions: Vec<[f32; 3]>,
+    /// The trail of each, if the model of points coded them.
+    pub trails: Vec<PointTrail>,
+    pub intensity: Vec<f32>,
+}
+
 /// The points of a scan that is being encoded, and their cells in the range image.
 #[derive(Debug)]
 struct Origin {
@@ -98,6 +105,11 @@ impl FrameParts {
         records.max(self.image.steps.cells().len() as u64).max(self.image_cells_of_channels)
     }
 
+    /// Number of records in the range image.
+    pub fn in_image(&self) -> usize {
+        self.records - self.strays.count
+    }
+
     /// A frame with `records` records of which nothing else is known yet.
     pub fn of_records(records: usize, scanner: Option<&Scanner>) -> Self {
         let orientation = scanner.map_or_else(Orientation::default, Scanner::orientation);
@@ -109,10 +121,12 @@ impl FrameParts {
         FrameParts { whole: Some(whole), records, ..FrameParts::default() }
     }
 
-    /// Splits a scan into parts (article, III-A and IV-A: the outlier filter and the range image).
+    /// Splits a scan into parts (article, III-A and IV-A: the outlier filter and the range image). Without
+    /// `has_image`, all its points are strays, although there is a scanner.
     pub fn from_scan(
         scan: ScanFile,
         scanner: Option<&Scanner>,
+        has_image: bool,
         config: &EncoderConfig,
         stages: &mut StageReport,
     ) -> Result<Self> {
@@ -123,6 +137,7 @@ impl FrameParts {
             suffix: scan.suffix,
             ..FrameParts::of_records(scan.records, scanner)
         };
+        let scanner = scanner.filter(|_| has_image);
         let bound = Bound::of(config.positions, config.intensity);
         let cloud = stages.timed(Stage::Conversion, || {
             let mut cloud = scan.cloud;
@@ -214,10 +229,9 @@ impl FrameParts {
             self.parameters.positions = PositionFidelity::Exact;
             self.parameters.intensity = IntensityFidelity::Exact;
         }
-        self.strays = self.records;
-        self.stray_positions = cloud.positions;
-        self.stray_intensity = cloud.intensity;
-        self.channels = cloud.channels;
+        let PointCloud { positions, intensity, channels } = cloud;
+        self.strays = Strays { count: self.records, positions, trails: Vec::new(), intensity };
+        self.channels = channels;
     }
 
     /// Codes all points, in bins of range as wide as the bound allows.
@@ -235,9 +249,9 @@ impl FrameParts {
 
     /// Rounds the values outside the range image as far as the bound allows.
     fn round_values(&mut self, bound: &Bound) {
-        bound.round_positions(&mut self.stray_positions);
+        bound.round_positions(&mut self.strays.positions);
         let of_cells = self.intensity.cells_mut().iter_mut();
-        let outside = self.stray_intensity.iter_mut().chain(&mut self.echo_intensity);
+        let outside = self.strays.intensity.iter_mut().chain(&mut self.echo_intensity);
         bound.round_intensities(of_cells.chain(outside));
     }
 
@@ -297,10 +311,8 @@ impl FrameParts {
         let of_echo = |point: &u32| cloud.intensity.get(*point as usize).copied().unwrap_or(0.0);
         self.echo_intensity = point_of_echo.iter().map(of_echo).collect();
         self.image = image;
-        self.strays = strays.len();
         let PointCloud { positions, intensity, .. } = cloud.select(&strays);
-        self.stray_positions = positions;
-        self.stray_intensity = intensity;
+        self.strays = Strays { count: strays.len(), positions, trails: Vec::new(), intensity };
         self.origin = Some(Arc::new(Origin { cloud, point_of_cell, point_of_echo, strays }));
     }
 
@@ -344,7 +356,7 @@ impl FrameParts {
     }
 
     /// The number of returns that the formula reproduces as measured, to the last bit.
-    pub fn exact_returns(&self, scanner: &Scanner) -> usize {
+    pub fn reproduced_returns(&self, scanner: &Scanner) -> usize {
         let offset_m = self.parameters.range_coder.offset_m(scanner);
         let formula = scanner.positions(&self.returns, offset_m, true);
         let bits = |position: &[f32; 3]| position.map(f32::to_bits);
@@ -380,8 +392,8 @@ impl FrameParts {
                 context.range_step_m = scanner.range_step_m();
                 context.tick_degrees = 360.0 / f64::from(scanner.build().ticks);
             }
-        } else if !self.stray_trails.is_empty() {
-            context.rows = self.stray_trails.iter().map(|trail| trail.row).collect();
+        } else if !self.strays.trails.is_empty() {
+            context.rows = self.strays.trails.iter().map(|trail| trail.row).collect();
             context.columns = vec![0; context.rows.len()];
         }
         Ok(context)
@@ -403,12 +415,12 @@ impl FrameParts {
             Some(echo) => self.echo_intensity.get(echo as usize).copied().unwrap_or(0.0),
         };
         let of_returns: Vec<f32> = self.returns.iter().map(of_return).collect();
-        self.order.arranged(of_returns, &self.stray_intensity)
+        self.order.arranged(of_returns, &self.strays.intensity)
     }
 
     /// The positions, as coded, in the order of the file.
     pub fn positions_in_order(&self) -> Result<Vec<[f32; 3]>> {
-        self.order.arranged(self.positions.as_slice(), &self.stray_positions)
+        self.order.arranged(self.positions.as_slice(), &self.strays.positions)
     }
 
     /// Moves the positions, in file order, out of the frame; empty if the layout has none.
@@ -416,7 +428,7 @@ impl FrameParts {
         if self.layout.position.is_none() {
             return Ok(Vec::new());
         }
-        self.order.arranged(take(&mut self.positions), &self.stray_positions)
+        self.order.arranged(take(&mut self.positions), &self.strays.positions)
     }
 
     /// Lists the points that motion compensation does not move to their positions in the file, now that their

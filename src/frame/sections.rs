@@ -3,7 +3,7 @@
 use super::stages::StageReport;
 use crate::article::image_coding::ImageConfig;
 use crate::backend::{Compressors, Level};
-use crate::container::{Section, SectionKind};
+use crate::container::{Section, SectionKind, payload_bytes};
 use crate::entropy::{
     ArithmeticDecoder, ArithmeticEncoder, BitCoder, TokenCoder, TokenReader, TokenTables, TokenWriter,
 };
@@ -175,7 +175,7 @@ impl SectionCoder for SectionWriter {
     }
 
     fn bytes_written(&self) -> usize {
-        self.sections.iter().map(|section| section.payload.len()).sum()
+        payload_bytes(&self.sections)
     }
 }
 

@@ -2,7 +2,7 @@
 //! FORMAT.md 8.18.
 
 use crate::backend::{self, Compressors, STORE, Trial, may_lzma_pay};
-use crate::files::{parse, plain_records};
+use crate::files::{parse, plain_file};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 use crate::scan::{Layout, ScanFile, Wrapping};
@@ -124,7 +124,7 @@ impl WholeFile {
                 if scan.records == records { scan } else { ScanFile::opaque(name, scan.to_bytes()?) }
             }
             Some((layout, prefix)) => {
-                let scan = plain_records(layout, &self.bytes, prefix, records as u64);
+                let scan = plain_file(layout, &self.bytes, prefix, records as u64);
                 let scan = scan.filter(|scan| scan.records == records);
                 scan.ok_or_else(|| Error::corrupt("bytes: fewer points than the frame's header says"))?
             }

@@ -78,7 +78,7 @@ pub enum Error {
     #[error("{0}")]
     Internal(String),
     /// A file or folder of the input cannot be used.
-    #[error("{} {what}", one_line(path))]
+    #[error("{} {what}", one_line(path.display()))]
     Input {
         /// The file or folder.
         path: PathBuf,
@@ -86,7 +86,7 @@ pub enum Error {
         what: String,
     },
     /// An operation on this file or folder failed.
-    #[error("{}: {source}", one_line(path))]
+    #[error("{}: {source}", one_line(path.display()))]
     At {
         /// The file or folder.
         path: PathBuf,
@@ -192,9 +192,19 @@ impl Error {
         }
     }
 
+    /// Whether a stream is damaged.
+    pub(crate) fn is_damage(&self) -> bool {
+        match self {
+            Error::Corrupt { .. } => true,
+            Error::At { source, .. } => source.is_damage(),
+            _ => false,
+        }
+    }
+
     /// The number of the frame that the error is about, and a message that names it. `frame` is that number,
     /// if the caller knows it and the error does not.
-    pub fn about_frame(&self, frame: Option<u64>) -> (Option<u64>, String) {
+    #[cfg(any(feature = "python", feature = "wasm"))]
+    pub(crate) fn about_frame(&self, frame: Option<u64>) -> (Option<u64>, String) {
         let frame = self.location().and_then(|location| location.frame).or(frame);
         let what = self.to_string();
         // Messages about a group number the frames within it.
@@ -235,9 +245,9 @@ impl fmt::Display for Location {
     }
 }
 
-/// A path for a message: file names may contain line breaks and terminal control sequences.
-fn one_line(path: &Path) -> String {
-    path.display().to_string().replace(char::is_control, "?")
+/// Text for a message of one line: names of files may contain line breaks and terminal control sequences.
+pub(crate) fn one_line(text: impl fmt::Display) -> String {
+    text.to_string().replace(char::is_control, "?")
 }
 
 /// The largest sizes that a decoder accepts; checked before any memory is allocated.
@@ -245,7 +255,7 @@ fn one_line(path: &Path) -> String {
 pub struct Limits {
     /// Points (records) in one frame, and cells of its range image.
     pub points: u64,
-    /// Bytes of one decoded file.
+    /// Bytes of one decoded file, and of all files of a group together.
     pub file_bytes: u64,
     /// Bytes of one coded record (a group of frames) of the stream.
     pub record_bytes: u64,

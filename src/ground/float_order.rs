@@ -1,36 +1,36 @@
-//! Floating-point values as integers in ascending order, their *ordinals* (the parameter `place`): adjacent
-//! values differ by one, and -0.0 and 0.0 count as adjacent, 0.0 being 0. Values are passed as bits where
-//! every bit must be preserved, since processors change the bits of some NaNs. FORMAT.md 3.4.
+//! Floating-point values as integers in ascending order, their *ranks*: those of adjacent values differ by one,
+//! and -0.0 and 0.0 count as adjacent, the rank of 0.0 being 0. Values are passed as bits where every bit must be
+//! preserved, since processors change the bits of some NaNs. FORMAT.md 3.4.
 
-/// The ordinal of a float32 value.
-pub fn ordered(value: f32) -> i64 {
-    ordered32(value.to_bits())
+/// The rank of a float32 value.
+pub fn rank(value: f32) -> i64 {
+    rank32(value.to_bits())
 }
 
-/// The inverse of [`ordered`], for any integer; ordinals of no float32 are truncated to 32 bits.
-pub fn from_ordered(place: i64) -> f32 {
-    f32::from_bits(bits32(place))
+/// The inverse of [`rank`], for any integer; ranks of no float32 are truncated to 32 bits.
+pub fn of_rank(rank: i64) -> f32 {
+    f32::from_bits(bits_of_rank32(rank))
 }
 
-/// The ordinal of the float32 value with these bits.
-pub fn ordered32(bits: u32) -> i64 {
+/// The rank of the float32 value with these bits.
+pub fn rank32(bits: u32) -> i64 {
     let signed = bits as i32;
     i64::from(if signed < 0 { !(signed & i32::MAX) } else { signed })
 }
 
-/// The inverse of [`ordered32`].
-pub fn bits32(place: i64) -> u32 {
-    let signed = place as i32;
+/// The inverse of [`rank32`].
+pub fn bits_of_rank32(rank: i64) -> u32 {
+    let signed = rank as i32;
     (if signed < 0 { !signed | i32::MIN } else { signed }) as u32
 }
 
-/// The ordinal of the float64 value with these bits.
-pub fn ordered64(bits: u64) -> i64 {
+/// The rank of the float64 value with these bits.
+pub fn rank64(bits: u64) -> i64 {
     let signed = bits as i64;
     if signed < 0 { !(signed & i64::MAX) } else { signed }
 }
 
-/// The inverse of [`ordered64`].
-pub fn bits64(place: i64) -> u64 {
-    (if place < 0 { !place | i64::MIN } else { place }) as u64
+/// The inverse of [`rank64`].
+pub fn bits_of_rank64(rank: i64) -> u64 {
+    (if rank < 0 { !rank | i64::MIN } else { rank }) as u64
 }

@@ -12,8 +12,7 @@ use super::range_image::RangeImage;
 use super::scan::Scan;
 use crate::container::{FrameHeader, FrameKind, IndexedReader, Stamp, StreamReader};
 use crate::ground::error::{Error, Limits, Result};
-use crate::ground::team::resolve_threads;
-use crate::ground::team::{on, pool_for_frames};
+use crate::ground::team::{on, pool_for_frames, resolve_threads};
 use crate::stream::decoder::{DecodedFrame, PartlyDecodedGroup, decode_group};
 use crate::stream::ordered::Workers;
 use crate::stream::source::{GroupJob, IndexedGroups, StreamedGroups};
@@ -189,7 +188,8 @@ impl<R: Read + Seek + Send> Decoder<R> {
     /// [`Error::Usage`] if there is no such scan; if the input fails, is damaged there, or exceeds the
     /// limits.
     pub fn scan(&mut self, number: u64) -> Result<Scan> {
-        let missing = || Error::Usage(format!("there is no frame {number} in a stream of {}", self.len()));
+        let missing =
+            || Error::Usage(format!("there is no frame {number}; the stream has {} frames", self.len()));
         let group = self.group_of(number).ok_or_else(missing)?;
         // After an error the group cannot be continued.
         let mut kept = match self.kept.take().filter(|kept| kept.first_frame == group.start) {
@@ -247,37 +247,13 @@ impl<R: Read + Seek + Send> Decoder<R> {
         };
         let len = self.len();
         if start > end || end > len {
-            return Err(Error::Usage(format!("there are no frames {start}..{end} in a stream of {len}")));
+            return Err(Error::Usage(format!(
+                "there are no frames {start}..{end}; the stream has {len} frames"
+            )));
         }
         let range = FrameRange { start, end: Some(end) };
         self.groups.seek(range);
         Ok(range)
-    }
-}
-
-impl Decoder<()> {
-    /// The scans of a stream from front to back, as from a pipe, decoded ahead on `threads` threads; 0 means
-    /// one per processor, 1 the caller's thread only. The stream is complete if the last item is not an
-    /// error.
-    ///
-    /// # Errors
-    /// If the input fails, is not a stream, or has another version of the format.
-    pub fn stream<'r>(input: impl Read + Send + 'r, threads: usize) -> Result<Scans<'r>> {
-        Self::stream_with_limits(input, threads, Limits::default())
-    }
-
-    /// As [`stream`](Self::stream), with limits on allocations.
-    ///
-    /// # Errors
-    /// As [`stream`](Self::stream).
-    pub fn stream_with_limits<'r>(
-        input: impl Read + Send + 'r,
-        threads: usize,
-        limits: Limits,
-    ) -> Result<Scans<'r>> {
-        let groups = StreamedGroups::new(StreamReader::open(input, limits)?, FrameRange::default());
-        let options = DecodeOptions { threads, limits, ..DecodeOptions::default() };
-        Ok(Scans::new(Box::new(groups), options))
     }
 }
 
@@ -337,8 +313,8 @@ impl<R> std::fmt::Debug for Decoder<R> {
     }
 }
 
-/// Scans of a stream in order, from [`Decoder::scans`] or [`Decoder::stream`]. After an error there are no
-/// more.
+/// Scans of a stream in order: from [`Decoder::scans`], or [from a pipe](Self::from_reader). After an error there
+/// are no more.
 pub struct Scans<'d> {
     groups: Box<dyn Iterator<Item = Result<GroupJob>> + Send + 'd>,
     options: DecodeOptions,
@@ -361,6 +337,40 @@ struct DecodedGroup {
 }
 
 impl<'d> Scans<'d> {
+    /// The scans of a stream from front to back, as from a pipe. The stream is complete if the last item is not an
+    /// error.
+    ///
+    /// # Errors
+    /// If the input fails, is not a stream, or has another version of the format.
+    pub fn from_reader(input: impl Read + Send + 'd) -> Result<Self> {
+        Self::from_reader_with_limits(input, Limits::default())
+    }
+
+    /// As [`from_reader`](Self::from_reader), with limits on allocations.
+    ///
+    /// # Errors
+    /// As [`from_reader`](Self::from_reader).
+    pub fn from_reader_with_limits(input: impl Read + Send + 'd, limits: Limits) -> Result<Self> {
+        let groups = StreamedGroups::new(StreamReader::open(input, limits)?, FrameRange::default());
+        let options = DecodeOptions { threads: 1, limits, ..DecodeOptions::default() };
+        Ok(Scans::new(Box::new(groups), options))
+    }
+
+    /// Makes the iterator decode ahead on `threads` threads; 0 means one per processor, 1, the default, the
+    /// caller's thread only. To be called before the first item is taken.
+    #[must_use]
+    pub fn with_threads(mut self, threads: usize) -> Self {
+        self.options.threads = threads;
+        self
+    }
+
+    /// Whether scans come with their [range images](Scan::range_image). Default: no.
+    #[must_use]
+    pub fn with_range_images(mut self, images: bool) -> Self {
+        self.options.images = images;
+        self
+    }
+
     fn new(groups: Box<dyn Iterator<Item = Result<GroupJob>> + Send + 'd>, options: DecodeOptions) -> Self {
         Scans {
             groups,

@@ -4,19 +4,15 @@ use std::io::Write;
 use std::mem::take;
 use std::sync::Arc;
 
-use rayon::ThreadPool;
-
 use super::scan::Scan;
 use super::settings::Settings;
 use crate::container::Stamp;
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Result};
-use crate::ground::team::{on, pool_for_frames};
 use crate::stream::FrameInput;
-use crate::stream::encoded::OpenStream;
-use crate::stream::encoder::{EncodedGroup, SequenceCoder, encode_known};
+use crate::stream::encoder::{EncodedGroup, MessageCoder, OpenStream, SequenceCoder};
 use crate::stream::ordered::Workers;
-use crate::stream::scanner_choice::{DriveScanners, KeptScanners, choose_scanners, records_of};
+use crate::stream::scanner_choice::{DriveScanners, choose_scanners, records_of};
 
 /// Encodes scans as they arrive. The scanner is fitted to the first group of scans; groups are coded on other
 /// threads while more scans are pushed, and written as they are done. A few groups are in memory at a time,
@@ -135,11 +131,7 @@ impl<W: Write> Encoder<W> {
 /// All scans are assumed to be from one scanner; those from others are restored too, but are larger when
 /// coded. A clone continues with the fitted scanner, for example on another thread.
 #[derive(Clone)]
-pub struct MessageEncoder {
-    config: Arc<EncoderConfig>,
-    scanners: KeptScanners,
-    pool: Option<Arc<ThreadPool>>,
-}
+pub struct MessageEncoder(MessageCoder);
 
 impl MessageEncoder {
     /// An encoder with these settings.
@@ -147,9 +139,7 @@ impl MessageEncoder {
     /// # Errors
     /// [`Error::InvalidSettings`] if they are out of range or do not fit together.
     pub fn new(settings: Settings) -> Result<Self> {
-        let config = Arc::new(settings.config()?);
-        let pool = pool_for_frames(config.threads)?.map(Arc::new);
-        Ok(MessageEncoder { config, scanners: KeptScanners::default(), pool })
+        Ok(MessageEncoder(MessageCoder::new(settings.config()?)?))
     }
 
     /// A stream with this scan alone, which a [`Decoder`](crate::Decoder) reads.
@@ -159,20 +149,18 @@ impl MessageEncoder {
     pub fn encode(&mut self, scan: Scan) -> Result<Vec<u8>> {
         let (scan, stamp) = scan.into_parts();
         // Tracks are only needed to distinguish several scanners.
-        let frame = FrameInput::scan(scan).stamped(Stamp { track: 0, ..stamp });
-        let scanners = self.scanners.for_next(|| Some(frame.clone()), &self.config)?;
-        on(self.pool.as_deref(), || encode_known(vec![frame], &scanners, &self.config))
+        self.0.encode(FrameInput::scan(scan).stamped(Stamp { track: 0, ..stamp }))
     }
 }
 
 impl std::fmt::Debug for MessageEncoder {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("MessageEncoder").field("config", &self.config).finish_non_exhaustive()
+        f.debug_struct("MessageEncoder").field("config", self.0.config()).finish_non_exhaustive()
     }
 }
 
 fn failed() -> Error {
-    Error::Usage("the encoder has failed before".to_owned())
+    Error::Usage("the encoder has failed before, and its stream is incomplete; start a new one".to_owned())
 }
 
 impl<W: Write> Coding<W> {

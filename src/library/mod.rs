@@ -10,7 +10,7 @@ mod settings;
 pub use decoder::{Decoder, FrameDetails, FrameInfo, Scans};
 pub use encoder::{Encoder, MessageEncoder, Summary};
 pub use range_image::RangeImage;
-pub use scalar::Scalar;
+pub use scalar::{ChannelValues, Scalar};
 pub use scan::{ChannelInfo, Scan};
 pub use settings::Settings;
 

@@ -1,6 +1,6 @@
 //! A scan as a table of ranges.
 
-use crate::frame::group::DecodedImage;
+use crate::frame::decoder::DecodedImage;
 
 /// The points of a scan in the rows and columns of the scanner: a row for each laser, a column for each
 /// azimuth at which the lasers fired. Second returns, and points that the scanner's formula does not explain,

@@ -10,12 +10,12 @@ pub trait Scalar: Copy + sealed::Value {
 
 /// Keeps other crates from implementing [`Scalar`].
 mod sealed {
-    use super::Values;
+    use super::ChannelValues;
 
-    /// A type of value in [`Values`].
+    /// A type of value in [`ChannelValues`].
     pub trait Value: Sized {
-        fn into_values(values: Vec<Self>) -> Values;
-        fn of_values(values: &Values) -> Option<&[Self]>;
+        fn into_values(values: Vec<Self>) -> ChannelValues;
+        fn of_values(values: &ChannelValues) -> Option<&[Self]>;
     }
 }
 
@@ -23,55 +23,71 @@ use sealed::Value;
 
 macro_rules! scalars {
     ($($variant:ident $scalar:ident),*) => {
-        /// The values of a channel, point after point.
+        /// The values of a channel, point after point, whatever their type.
         #[derive(Clone, Debug, PartialEq)]
-        pub enum Values {
-            $($variant(Vec<$scalar>),)*
+        #[non_exhaustive]
+        pub enum ChannelValues {
+            $(
+                #[doc = concat!("Values of type `", stringify!($scalar), "`.")]
+                $variant(Vec<$scalar>),
+            )*
         }
 
-        impl Values {
-            /// Values from their little-endian bytes; an incomplete value at the end is ignored.
+        impl ChannelValues {
+            /// ChannelValues from their little-endian bytes; an incomplete value at the end is ignored.
             pub fn from_bytes(scalar: scan::ScalarType, bytes: &[u8]) -> Self {
                 match scalar {
-                    $(scan::ScalarType::$variant => Values::$variant(
+                    $(scan::ScalarType::$variant => ChannelValues::$variant(
                         bytes.as_chunks().0.iter().map(|value| $scalar::from_le_bytes(*value)).collect(),
                     ),)*
                 }
             }
 
             /// The little-endian bytes of the values.
-            pub fn to_bytes(&self) -> Vec<u8> {
+            pub(crate) fn to_bytes(&self) -> Vec<u8> {
                 match self {
-                    $(Values::$variant(values) => {
+                    $(ChannelValues::$variant(values) => {
                         values.iter().flat_map(|value| value.to_le_bytes()).collect()
                     })*
+                }
+            }
+
+            /// The values as `f64`; integers beyond 2^53 are rounded.
+            pub fn to_f64(&self) -> Vec<f64> {
+                match self {
+                    $(ChannelValues::$variant(values) => values.iter().map(|&value| value as f64).collect(),)*
                 }
             }
 
             /// The type of the values.
             pub fn scalar(&self) -> scan::ScalarType {
                 match self {
-                    $(Values::$variant(_) => scan::ScalarType::$variant,)*
+                    $(ChannelValues::$variant(_) => scan::ScalarType::$variant,)*
                 }
             }
 
             /// Number of values.
             pub fn len(&self) -> usize {
                 match self {
-                    $(Values::$variant(values) => values.len(),)*
+                    $(ChannelValues::$variant(values) => values.len(),)*
                 }
+            }
+
+            /// Whether there are no values.
+            pub fn is_empty(&self) -> bool {
+                self.len() == 0
             }
         }
 
         $(
             impl Value for $scalar {
-                fn into_values(values: Vec<Self>) -> Values {
-                    Values::$variant(values)
+                fn into_values(values: Vec<Self>) -> ChannelValues {
+                    ChannelValues::$variant(values)
                 }
 
-                fn of_values(values: &Values) -> Option<&[Self]> {
+                fn of_values(values: &ChannelValues) -> Option<&[Self]> {
                     match values {
-                        Values::$variant(values) => Some(values),
+                        ChannelValues::$variant(values) => Some(values),
                         _ => None,
                     }
                 }

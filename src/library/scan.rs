@@ -3,16 +3,11 @@
 use std::collections::HashSet;
 
 use super::range_image::RangeImage;
-use super::scalar::{Scalar, Values};
+use super::scalar::{ChannelValues, Scalar};
 use crate::container::{FrameKind, Stamp, Time, TimeSource};
-use crate::files;
+use crate::files::{self, INTENSITY, POSITION};
 use crate::ground::error::{Error, Result};
-use crate::scan::{self, Channel, Field, Layout, MAX_STRIDE, PointCloud, ScanFile};
-
-/// The name of the intensity channel.
-const INTENSITY: &str = "intensity";
-/// The fields of positions.
-const POSITION: [&str; 3] = ["x", "y", "z"];
+use crate::scan::{Channel, Field, Layout, MAX_STRIDE, PointCloud, ScalarType, ScanFile};
 
 /// A scan: points with named, typed channels. Every bit of every value counts: NaN payloads and the sign of
 /// zero are kept.
@@ -25,7 +20,7 @@ const POSITION: [&str; 3] = ["x", "y", "z"];
 /// let scan = lidarpc::Scan::from_positions(&[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
 ///     .with_channel("intensity", &[0.25f32, 0.5])?
 ///     .with_channel("ring", &[7u16, 8])?
-///     .at_time(1_316_998_000_123_456_789);
+///     .with_time(1_316_998_000_123_456_789);
 /// assert_eq!(scan.channel::<u16>("ring")?, [7, 8]);
 /// # Ok(())
 /// # }
@@ -51,7 +46,7 @@ struct TypedChannel {
     name: String,
     /// Number of values per point.
     count: u32,
-    values: Values,
+    values: ChannelValues,
 }
 
 /// A file without its points.
@@ -70,7 +65,7 @@ pub struct ChannelInfo<'s> {
     /// Its name.
     pub name: &'s str,
     /// The type of its values.
-    pub scalar: scan::ScalarType,
+    pub scalar: ScalarType,
     /// Number of values for each point, one after the other: 1, except for fields of files that have more.
     pub count: u32,
 }
@@ -84,7 +79,7 @@ impl Scan {
     /// Points in KITTI's form: x, y and z in metres, and the intensity, which becomes a channel of that name.
     pub fn from_xyzi(points: &[[f32; 4]]) -> Self {
         let positions = points.iter().map(|&[x, y, z, _]| [x, y, z]).collect();
-        let values = Values::F32(points.iter().map(|point| point[3]).collect());
+        let values = ChannelValues::F32(points.iter().map(|point| point[3]).collect());
         let intensity = TypedChannel { name: INTENSITY.to_owned(), count: 1, values };
         Scan { points: points.len(), positions, channels: vec![intensity], ..Scan::default() }
     }
@@ -139,14 +134,14 @@ impl Scan {
 
     /// The scan with the time at which it was taken: nanoseconds since 1970.
     #[must_use]
-    pub fn at_time(self, nanoseconds: i64) -> Self {
+    pub fn with_time(self, nanoseconds: i64) -> Self {
         Scan { time: Some(Time { source: TimeSource::Recording, nanoseconds }), ..self }
     }
 
     /// The scan as one from another scanner than that of track 0. Scans from several scanners may alternate;
     /// those of each are modelled separately.
     #[must_use]
-    pub fn on_track(self, track: u8) -> Self {
+    pub fn with_track(self, track: u8) -> Self {
         Scan { track, ..self }
     }
 
@@ -160,10 +155,16 @@ impl Scan {
         self.points == 0
     }
 
-    /// x, y and z of each point, in metres. Empty if the scan is a file whose coordinates are not float32:
-    /// they are channels then.
+    /// x, y and z of each point, in metres; empty if the scan [has none](Self::has_positions).
     pub fn positions(&self) -> &[[f32; 3]] {
         &self.positions
+    }
+
+    /// Whether each point has a position. The points of a file whose coordinates are not float32 have none, as
+    /// these are channels named `x`, `y` and `z`; nor have those of a file without coordinates.
+    pub fn has_positions(&self) -> bool {
+        let is_other = || self.channels.iter().any(|channel| channel.name == POSITION[0]);
+        self.positions.len() == self.points && !(self.is_empty() && is_other())
     }
 
     /// The values of a channel, point after point.
@@ -172,12 +173,21 @@ impl Scan {
     /// [`Error::Usage`] if the scan has no channel of this name, or if its type is another; the message says
     /// which.
     pub fn channel<T: Scalar>(&self, name: &str) -> Result<&[T]> {
-        let channel = self.channels.iter().find(|channel| channel.name == name);
-        let channel = channel.ok_or_else(|| Error::Usage(format!("the scan has no channel {name:?}")))?;
-        T::of_values(&channel.values).ok_or_else(|| {
-            let (wanted, scalar) = (T::TYPE.name(), channel.values.scalar().name());
+        let values = self.values(name)?;
+        T::of_values(values).ok_or_else(|| {
+            let (wanted, scalar) = (T::TYPE.name(), values.scalar().name());
             Error::Usage(format!("channel {name:?} holds {scalar}, not {wanted}"))
         })
+    }
+
+    /// The values of a channel of any type, point after point.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] if the scan has no channel of this name.
+    pub fn values(&self, name: &str) -> Result<&ChannelValues> {
+        let channel = self.channels.iter().find(|channel| channel.name == name);
+        let channel = channel.ok_or_else(|| Error::Usage(format!("the scan has no channel {name:?}")))?;
+        Ok(&channel.values)
     }
 
     /// The named channels, in the order of the records: all fields except the position, and of a file's
@@ -238,12 +248,12 @@ impl Scan {
             .channels
             .into_iter()
             .map(|Channel { field, bytes }| TypedChannel {
-                values: Values::from_bytes(field.scalar, &bytes),
+                values: ChannelValues::from_bytes(field.scalar, &bytes),
                 name: field.name,
                 count: field.count,
             })
             .collect();
-        if let Some((place, field)) = intensity_place(&layout) {
+        if let Some((place, field)) = intensity_channel(&layout) {
             let values = intensity_values(field.scalar, cloud.intensity);
             let channel = TypedChannel { name: field.name.clone(), count: 1, values };
             channels.insert(place.min(channels.len()), channel);
@@ -258,13 +268,14 @@ impl Scan {
         let stamp = Stamp { kind: self.kind(), track: self.track, time: self.time };
         let (layout, prefix, suffix) = match self.file {
             Some(file) => (file.layout, file.prefix, file.suffix),
-            None => {
-                let has_positions = self.positions.len() == self.points;
-                (layout_in_memory(has_positions, &self.channels), Vec::new(), Vec::new())
-            }
+            None => (
+                layout_in_memory(self.positions.len() == self.points, &self.channels),
+                Vec::new(),
+                Vec::new(),
+            ),
         };
         let mut cloud = PointCloud { positions: self.positions, ..PointCloud::default() };
-        let intensity = intensity_place(&layout).map(|(place, _)| place);
+        let intensity = intensity_channel(&layout).map(|(place, _)| place);
         for (place, TypedChannel { name, count, values }) in self.channels.into_iter().enumerate() {
             if intensity == Some(place) {
                 cloud.intensity = intensities(values);
@@ -279,34 +290,34 @@ impl Scan {
 }
 
 /// The index of the intensity among the channels, and its field.
-fn intensity_place(layout: &Layout) -> Option<(usize, &Field)> {
+fn intensity_channel(layout: &Layout) -> Option<(usize, &Field)> {
     let number = layout.intensity?;
     let positions_before = layout.position.iter().flatten().filter(|field| **field < number).count();
     Some((number as usize - positions_before, layout.fields.get(number as usize)?))
 }
 
 /// Intensities, which are coded as float32, converted to the type of their field.
-fn intensity_values(scalar: scan::ScalarType, values: Vec<f32>) -> Values {
+fn intensity_values(scalar: ScalarType, values: Vec<f32>) -> ChannelValues {
     match scalar {
-        scan::ScalarType::U8 => Values::U8(values.into_iter().map(|value| (value + 0.5) as u8).collect()),
-        scan::ScalarType::U16 => Values::U16(values.into_iter().map(|value| (value + 0.5) as u16).collect()),
-        _ => Values::F32(values),
+        ScalarType::U8 => ChannelValues::U8(values.into_iter().map(|value| (value + 0.5) as u8).collect()),
+        ScalarType::U16 => ChannelValues::U16(values.into_iter().map(|value| (value + 0.5) as u16).collect()),
+        _ => ChannelValues::F32(values),
     }
 }
 
 /// The inverse of [`intensity_values`]; empty for types that intensities cannot have.
-fn intensities(values: Values) -> Vec<f32> {
+fn intensities(values: ChannelValues) -> Vec<f32> {
     match values {
-        Values::F32(values) => values,
-        Values::U8(values) => values.into_iter().map(f32::from).collect(),
-        Values::U16(values) => values.into_iter().map(f32::from).collect(),
+        ChannelValues::F32(values) => values,
+        ChannelValues::U8(values) => values.into_iter().map(f32::from).collect(),
+        ChannelValues::U16(values) => values.into_iter().map(f32::from).collect(),
         _ => Vec::new(),
     }
 }
 
 /// The layout of points in memory: that of a file without a header whose records have the same fields.
 fn layout_in_memory(has_positions: bool, channels: &[TypedChannel]) -> Layout {
-    let positions = POSITION.map(|name| Field::new(name, scan::ScalarType::F32));
+    let positions = POSITION.map(|name| Field::new(name, ScalarType::F32));
     let positions = positions.into_iter().filter(|_| has_positions);
     let others = channels.iter().map(|TypedChannel { name, count, values }| Field {
         name: name.clone(),
@@ -316,9 +327,9 @@ fn layout_in_memory(has_positions: bool, channels: &[TypedChannel]) -> Layout {
     let layout = files::plain_layout(positions.chain(others).collect());
     let mut layout = layout.unwrap_or_default();
     layout.position = layout.position.filter(|_| has_positions);
-    let values = intensity_place(&layout).and_then(|(place, _)| Some(&channels.get(place)?.values));
-    if let Some(Values::U16(values)) = values
-        && values.iter().any(|&value| f32::from(value) > files::MOST_INTENSITY)
+    let values = intensity_channel(&layout).and_then(|(place, _)| Some(&channels.get(place)?.values));
+    if let Some(ChannelValues::U16(values)) = values
+        && !files::are_intensities(ScalarType::U16, values.iter().map(|&value| value.into()))
     {
         layout.intensity = None;
     }

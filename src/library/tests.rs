@@ -69,7 +69,7 @@ fn small_scans(count: u16) -> Vec<Scan> {
     let scan = |number: u16| {
         let positions: Vec<[f32; 3]> = (0..number).map(|point| [f32::from(point), -0.0, f32::NAN]).collect();
         let rings: Vec<u16> = (0..number).collect();
-        Scan::from_positions(&positions).with_channel("ring", &rings).unwrap().at_time(i64::from(number))
+        Scan::from_positions(&positions).with_channel("ring", &rings).unwrap().with_time(i64::from(number))
     };
     (0..count).map(scan).collect()
 }
@@ -168,8 +168,8 @@ fn channels_of_every_type_come_back() {
         .with_channel("f64", &[f64::NAN, 1e300])
         .unwrap()
         .with_name("000001")
-        .at_time(-5)
-        .on_track(3);
+        .with_time(-5)
+        .with_track(3);
     let found = &decoded(&encoded([scan.clone()], Settings::exact()))[0];
     assert_eq!((found.name(), found.time(), found.track(), found.len()), ("000001", Some(-5), 3, 2));
     assert_eq!(found.channels().collect::<Vec<_>>(), scan.channels().collect::<Vec<_>>());
@@ -282,7 +282,7 @@ fn scans_come_by_number_and_in_order() {
             let times: Vec<_> = scans.map(|scan| scan.unwrap().time().unwrap() as u64).collect();
             assert_eq!(times, range.collect::<Vec<_>>(), "{threads} threads");
         }
-        let piped = Decoder::stream(&stream[..], threads).unwrap();
+        let piped = Scans::from_reader(&stream[..]).unwrap().with_threads(threads);
         let lengths: Vec<_> = piped.map(|scan| scan.unwrap().len()).collect();
         assert_eq!(lengths, (0..25).collect::<Vec<_>>());
     }
@@ -298,7 +298,7 @@ fn limits_hold_however_a_stream_is_read() {
     let limits = Limits { points: 10, ..Limits::default() };
     let mut decoder = Decoder::open_with_limits(Cursor::new(&stream), limits).unwrap();
     assert!(matches!(decoder.scan(0), Err(Error::LimitExceeded { .. })));
-    let mut piped = Decoder::stream_with_limits(&stream[..], 1, limits).unwrap();
+    let mut piped = Scans::from_reader_with_limits(&stream[..], limits).unwrap();
     assert!(matches!(piped.next(), Some(Err(Error::LimitExceeded { .. }))));
 }
 
@@ -307,7 +307,7 @@ fn a_stream_without_scans_is_a_stream() {
     let stream = encoded([], Settings::exact());
     let mut decoder = Decoder::open(Cursor::new(&stream)).unwrap();
     assert!(decoder.is_empty() && decoder.scans(..).next().is_none());
-    assert!(Decoder::stream(&stream[..], 2).unwrap().next().is_none());
+    assert!(Scans::from_reader(&stream[..]).unwrap().with_threads(2).next().is_none());
     assert!(decoder.scanners().unwrap().is_empty());
 }
 
@@ -446,7 +446,7 @@ fn messages_stand_by_themselves_and_share_what_was_found() {
     assert_eq!(scanner_of(&without), [], "nothing was found");
     let mut first = None;
     for (number, (name, bytes)) in (0..).zip(drive()) {
-        let stream = encoder.encode(Scan::from_file(&name, bytes.clone()).at_time(number)).unwrap();
+        let stream = encoder.encode(Scan::from_file(&name, bytes.clone()).with_time(number)).unwrap();
         let scans = decoded(&stream);
         assert_eq!((scans.len(), scans[0].time(), scans[0].name()), (1, Some(number), &name[..]));
         assert_eq!(scans[0].file_bytes().unwrap().unwrap(), bytes);
@@ -502,7 +502,7 @@ fn noise(count: u64) -> Vec<Scan> {
         f32::from_bits((state >> 40) as u32 | 0x4000_0000)
     };
     let mut scan = || Scan::from_positions(&(0..2000).map(|_| [next(), next(), next()]).collect::<Vec<_>>());
-    (0..count).map(|number| scan().at_time(number as i64)).collect()
+    (0..count).map(|number| scan().with_time(number as i64)).collect()
 }
 
 #[test]

@@ -35,11 +35,13 @@ impl IntensityModel {
         self.is_deep = is_deep;
     }
 
-    /// Starts an image with these numbers of rows and columns, or its strays, with `values` values.
+    /// Starts an image with these numbers of rows and columns, or its strays, with `values` values. The scale is on
+    /// a grid.
     pub fn start_frame(&mut self, scale: &IntensityScale, (rows, columns): (usize, usize), values: usize) {
+        debug_assert!(scale.is_on_grid());
         if self.is_deep {
             self.deep.get_or_insert_default().start_frame(columns, values);
-        } else if scale.is_on_grid() {
+        } else {
             self.light.start_frame(scale.bits(), rows, values);
         }
     }
@@ -60,9 +62,6 @@ impl IntensityModel {
         (row, column): (usize, usize),
         value: f32,
     ) -> f32 {
-        if !scale.is_on_grid() {
-            return self.code_off_grid(coder, value);
-        }
         let level = scale.level_of(value);
         if scale.has_exceptions() && self.exception.code(coder, level.is_none()) {
             return self.code_off_grid(coder, value);

@@ -3,7 +3,7 @@
 
 use byteorder::{ByteOrder, LittleEndian};
 
-use crate::ground::float_order::{bits32, bits64, ordered32, ordered64};
+use crate::ground::float_order::{bits_of_rank32, bits_of_rank64, rank32, rank64};
 use crate::ground::rounding::round_ties_even;
 use crate::scan::ScalarType;
 
@@ -37,7 +37,7 @@ enum Form {
 
 impl Scale {
     /// Integers as they are, or floating-point values by their rank among all numbers.
-    pub const PLACE: Scale = Scale { code: 0 };
+    pub const RANK: Scale = Scale { code: 0 };
 
     /// The number in the stream.
     pub fn to_code(self) -> u8 {
@@ -56,7 +56,7 @@ impl Scale {
         /// At most one value in this number may lie off the grid.
         const RARE: usize = 64;
         if !scalar.is_float() {
-            return Scale::PLACE;
+            return Scale::RANK;
         }
         let size = scalar.size() as usize;
         let step = (values.len() / size / SAMPLES).max(1);
@@ -76,7 +76,7 @@ impl Scale {
             (1..=FORMS * EXPONENTS + LEVELS.len() as u8).map(|code| Scale { code }).collect();
         scales.retain(|scale| scale.step() > resolution);
         scales.sort_by(|a, b| b.step().total_cmp(&a.step()));
-        scales.into_iter().find(|&scale| suits(scale, &some) && suits(scale, values)).unwrap_or(Scale::PLACE)
+        scales.into_iter().find(|&scale| suits(scale, &some) && suits(scale, values)).unwrap_or(Scale::RANK)
     }
 
     fn form(self) -> Option<(Form, i32)> {
@@ -133,7 +133,7 @@ impl NumberGrid {
     /// [`integer`](Self::integer) of a value of the type of the grid.
     #[inline(always)]
     fn integer_of(&self, scalar: ScalarType, value: &[u8]) -> Option<i64> {
-        let Some(form) = self.form else { return Some(place(scalar, value)) };
+        let Some(form) = self.form else { return Some(rank(scalar, value)) };
         let number = number(scalar, value);
         let count = rounded(number / self.step);
         // Larger integers are not exact, and NaN has none.
@@ -198,7 +198,7 @@ impl NumberGrid {
     /// Writes the value of an integer.
     #[inline]
     pub fn write(&self, integer: i64, value: &mut [u8]) {
-        let Some(form) = self.form else { return write_place(self.scalar, integer, value) };
+        let Some(form) = self.form else { return write_rank(self.scalar, integer, value) };
         let number = self.number_of(form, integer);
         match self.scalar {
             ScalarType::F32 => LittleEndian::write_f32(value, number as f32),
@@ -224,8 +224,8 @@ impl NumberGrid {
         match (self.form, self.scalar) {
             // Processors differ in the bits of a NaN that they compute.
             _ if number.is_nan() => 0,
-            (None, ScalarType::F32) => ordered32((number as f32).to_bits()),
-            (None, ScalarType::F64) => ordered64(number.to_bits()),
+            (None, ScalarType::F32) => rank32((number as f32).to_bits()),
+            (None, ScalarType::F64) => rank64(number.to_bits()),
             _ => rounded(number / self.step) as i64,
         }
     }
@@ -255,7 +255,7 @@ pub fn number(scalar: ScalarType, value: &[u8]) -> f64 {
         ScalarType::F32 => LittleEndian::read_f32(value).into(),
         ScalarType::F64 => LittleEndian::read_f64(value),
         ScalarType::U64 => LittleEndian::read_u64(value) as f64,
-        _ => place(scalar, value) as f64,
+        _ => rank(scalar, value) as f64,
     }
 }
 
@@ -268,16 +268,16 @@ pub fn write_number(scalar: ScalarType, number: f64, value: &mut [u8]) {
         ScalarType::F32 => LittleEndian::write_f32(value, number as f32),
         ScalarType::F64 => LittleEndian::write_f64(value, number),
         ScalarType::U64 => LittleEndian::write_u64(value, number as u64),
-        _ => write_place(scalar, number as i64, value),
+        _ => write_rank(scalar, number as i64, value),
     }
 }
 
 /// An integer as it is; a floating-point value as its rank among all numbers, 0 being the rank of 0.
 #[inline(always)]
-fn place(scalar: ScalarType, value: &[u8]) -> i64 {
+fn rank(scalar: ScalarType, value: &[u8]) -> i64 {
     match scalar {
-        ScalarType::F32 => ordered32(LittleEndian::read_u32(value)),
-        ScalarType::F64 => ordered64(LittleEndian::read_u64(value)),
+        ScalarType::F32 => rank32(LittleEndian::read_u32(value)),
+        ScalarType::F64 => rank64(LittleEndian::read_u64(value)),
         ScalarType::U8 => value[0].into(),
         ScalarType::I8 => (value[0] as i8).into(),
         ScalarType::U16 => LittleEndian::read_u16(value).into(),
@@ -288,13 +288,13 @@ fn place(scalar: ScalarType, value: &[u8]) -> i64 {
     }
 }
 
-/// The inverse of [`place`].
+/// The inverse of [`rank`].
 #[inline]
-fn write_place(scalar: ScalarType, place: i64, value: &mut [u8]) {
+fn write_rank(scalar: ScalarType, rank: i64, value: &mut [u8]) {
     let bits = match scalar {
-        ScalarType::F32 => u64::from(bits32(place)),
-        ScalarType::F64 => bits64(place),
-        _ => place as u64,
+        ScalarType::F32 => u64::from(bits_of_rank32(rank)),
+        ScalarType::F64 => bits_of_rank64(rank),
+        _ => rank as u64,
     };
     // Copies of a size known at compile time are single moves.
     match scalar.size() {
@@ -326,16 +326,16 @@ mod tests {
         let times: Vec<u8> = n().flat_map(|n| ((1.6e15 + n) / 1e6).to_le_bytes()).collect();
         assert_eq!(Scale::of(ScalarType::F64, &times).step(), 1e-6);
         let rough = singles((1..1000).map(|n| libm::sqrtf(n as f32)));
-        assert_eq!(Scale::of(ScalarType::F32, &rough), Scale::PLACE);
+        assert_eq!(Scale::of(ScalarType::F32, &rough), Scale::RANK);
     }
 
     proptest! {
         #[test]
-        fn every_value_has_a_place(bits: u64, number in 0usize..10) {
+        fn every_value_has_a_rank(bits: u64, number in 0usize..10) {
             let scalar = ScalarType::from_number(number as u8).unwrap();
             let value = &bits.to_le_bytes()[..scalar.size() as usize];
             let mut again = [0; 8];
-            write_place(scalar, place(scalar, value), &mut again);
+            write_rank(scalar, rank(scalar, value), &mut again);
             prop_assert_eq!(&again[..value.len()], value);
         }
 
@@ -357,14 +357,14 @@ mod tests {
         }
 
         #[test]
-        fn places_are_in_order(a: f32, b: f32) {
+        fn ranks_are_in_order(a: f32, b: f32) {
             let (a, b) = if a < b { (a, b) } else { (b, a) };
-            // NaN has no place in this order, and zeros of both signs have the same.
+            // NaN has no rank in this order, and zeros of both signs have the same.
             if a >= b || a.is_nan() || b.is_nan() {
                 return Ok(());
             }
-            prop_assert!(ordered32(a.to_bits()) < ordered32(b.to_bits()));
-            prop_assert!(ordered64(f64::from(a).to_bits()) < ordered64(f64::from(b).to_bits()));
+            prop_assert!(rank32(a.to_bits()) < rank32(b.to_bits()));
+            prop_assert!(rank64(f64::from(a).to_bits()) < rank64(f64::from(b).to_bits()));
         }
     }
 }

@@ -25,7 +25,7 @@ use crate::inter::Reference;
 use back::{Back, ReferenceErrors, Surroundings};
 pub use bins::RangeScale;
 use deep::{DeepModel, DeepSite, Referred};
-use errors::ErrorTrack;
+use errors::NearbyErrors;
 use halving::Halving;
 use mixture::{Interval, Mixture, Rates};
 use neighbourhood::Window;
@@ -165,7 +165,7 @@ impl RangeModel {
             }));
         }
         let width = known.occupancy.columns();
-        let (mut errors, mut window) = (ErrorTrack::new(width), Window::new(width));
+        let (mut errors, mut window) = (NearbyErrors::new(width), Window::new(width));
         let (mut reference_errors, mut rows) = (ReferenceErrors::new(width), Rows::new(width));
         for row in 0..known.occupancy.rows() {
             if coder.is_exhausted() {

@@ -11,8 +11,10 @@ use super::message::{self, Encoding};
 use super::pack::unpacked;
 use super::records::{Faults, Records};
 use crate::container::{self, FrameKind, Stamp, StreamReader, Time, TimeSource};
+use crate::files::names::is_safe_path;
 use crate::frame::FrameParameters;
 use crate::ground::error::{Error, Limits, Result};
+use crate::ground::team::locked;
 use crate::library::Scan;
 use crate::stream::ordered::run_ordered;
 
@@ -29,19 +31,27 @@ impl TopicFilter {
     }
 }
 
-/// The clouds of a recording, compressed or not, one after another, each with its time. If several channels
-/// have clouds, each is a track of its own. What is damaged is left out: see [`damage`](Self::damage). If the
+/// The clouds of a recording, compressed or not, one after another, each with its time. The name of each is
+/// that of a folder for its topic, such as `front/points/`. If several channels have clouds, each is a track of
+/// its own. What is damaged is left out: see [`damage`](Self::damage). If the
 /// input fails, its error is the last item.
 pub struct Clouds<'f, R> {
     records: Records<R>,
     filter: &'f TopicFilter,
     schemas: HashMap<u16, String>,
-    /// Channels of clouds, each with the number of its track.
-    channels: HashMap<u16, (Encoding, u8)>,
+    channels: HashMap<u16, CloudChannel>,
     /// The topics of these channels.
     pub topics: BTreeSet<String>,
     /// Number of messages on these channels so far that are no clouds with coordinates.
     pub left_out: u64,
+}
+
+/// A channel of clouds.
+struct CloudChannel {
+    encoding: Encoding,
+    track: u8,
+    /// The name of its clouds.
+    folder: String,
 }
 
 impl<'f, R: Read> Clouds<'f, R> {
@@ -51,8 +61,14 @@ impl<'f, R: Read> Clouds<'f, R> {
     /// If the input is not a recording, or fails.
     pub fn open(input: R, filter: &'f TopicFilter) -> Result<Self> {
         let records = Records::open(input)?;
-        let (schemas, channels, topics) = (HashMap::new(), HashMap::new(), BTreeSet::new());
-        Ok(Clouds { records, filter, schemas, channels, topics, left_out: 0 })
+        Ok(Clouds {
+            records,
+            filter,
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+            topics: BTreeSet::new(),
+            left_out: 0,
+        })
     }
 
     /// What is wrong with the recording and its clouds, as far as it has been read.
@@ -67,14 +83,15 @@ impl<'f, R: Read> Clouds<'f, R> {
         let is_of_clouds = schema.is_some_and(|name| encoding.schemas().contains(&name.as_str()));
         if is_of_clouds && self.filter.takes(&channel.topic) && !self.channels.contains_key(&channel.id) {
             let track = self.channels.len().min(usize::from(u8::MAX)) as u8;
-            self.channels.insert(channel.id, (encoding, track));
+            let folder = folder_of(&channel.topic);
+            self.channels.insert(channel.id, CloudChannel { encoding, track, folder });
             self.topics.insert(channel.topic.clone());
         }
     }
 
     /// The cloud in a message; `None` if the message is not a cloud, or a damaged one.
     fn cloud(&mut self, header: &MessageHeader, data: &[u8]) -> Option<Scan> {
-        let &(encoding, track) = self.channels.get(&header.channel_id)?;
+        let &CloudChannel { encoding, track, ref folder } = self.channels.get(&header.channel_id)?;
         let unpacked = match unpacked(data, encoding) {
             Ok(unpacked) => unpacked,
             Err(error) => {
@@ -84,11 +101,12 @@ impl<'f, R: Read> Clouds<'f, R> {
         };
         let message = unpacked.as_ref().map_or(data, |(message, _)| message);
         let taken = message::scan(message, encoding);
-        let Some((scan, stamp)) = taken.and_then(|(scan, stamp)| Some((message::points(scan)?, stamp)))
+        let Some((mut scan, stamp)) = taken.and_then(|(scan, stamp)| Some((message::points(scan)?, stamp)))
         else {
             self.left_out += 1;
             return None;
         };
+        scan.name.clone_from(folder);
         let time = Time { source: TimeSource::Recording, nanoseconds: stamp };
         Some(Scan::of_parts(scan, Stamp { kind: FrameKind::Points, track, time: Some(time) }))
     }
@@ -112,6 +130,15 @@ impl<R: Read> Iterator for Clouds<'_, R> {
             }
         }
     }
+}
+
+/// The path of a folder for the clouds of a topic, with `_` for characters that not every file can have in its
+/// name, and a `/` at the end.
+fn folder_of(topic: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-' | '.' | '/');
+    let topic: String = topic.chars().map(|c| if is_plain(c) { c } else { '_' }).collect();
+    let folder = topic.split('/').filter(|name| !name.is_empty()).collect::<Vec<_>>().join("/");
+    format!("{}/", if is_safe_path(&folder) { &folder } else { "clouds" })
 }
 
 /// The fault of a compressed cloud that cannot be decoded.
@@ -168,7 +195,6 @@ pub fn examine(
     let mut records = Records::open(input)?;
     let (mut schemas, mut places) = (HashMap::new(), HashMap::new());
     let (topics, mut attachments) = (Mutex::new(Vec::<Topic>::new()), 0);
-    let locked = || topics.lock().unwrap_or_else(PoisonError::into_inner);
     let jobs = std::iter::from_fn(|| {
         loop {
             let record = match records.next()? {
@@ -180,7 +206,7 @@ pub fn examine(
                 Record::Channel(Channel { id, schema_id, topic: name, message_encoding, .. }) => {
                     let schema = schemas.get(&schema_id).cloned().unwrap_or_default();
                     places.entry(id).or_insert_with(|| {
-                        let mut topics = locked();
+                        let mut topics = locked(&topics);
                         topics.push(Topic { name, schema, ..Topic::default() });
                         (topics.len() - 1, Encoding::of(&message_encoding))
                     });
@@ -205,7 +231,7 @@ pub fn examine(
     };
     let mut faults = Faults::default();
     run_ordered(threads, jobs.fuse(), work, |(place, bytes, is_compressed, cloud)| {
-        let topic = &mut locked()[place];
+        let topic = &mut locked(&topics)[place];
         topic.messages += 1;
         topic.bytes += bytes;
         topic.clouds += u64::from(is_compressed);

@@ -7,7 +7,7 @@
 
 use std::ops::Range;
 
-use crate::files::{big_endian_records, plain_layout, plain_records};
+use crate::files::{big_endian_file, plain_file, plain_layout};
 use crate::ground::error::{Error, Result};
 use crate::scan::{Field, Layout, MAX_STRIDE, ScalarType, ScanFile, Wrapping};
 
@@ -234,8 +234,8 @@ pub fn scan(message: &[u8], encoding: Encoding) -> Option<(ScanFile, i64)> {
     }
     let start = cloud.data.start;
     let scan = match cloud.is_big_endian {
-        false => plain_records(layout, message, start, cloud.points),
-        true => big_endian_records(layout, message, start, cloud.points),
+        false => plain_file(layout, message, start, cloud.points),
+        true => big_endian_file(layout, message, start, cloud.points),
     };
     Some((scan?, cloud.stamp))
 }

@@ -1,7 +1,8 @@
 //! The fields of a file's records and how they are wrapped, and the serialised form of both.
 //! FORMAT.md 8.1.
 
-use super::text_format::{NumberRule, ScalarType, TextFormat};
+use super::scalar::ScalarType;
+use super::text_format::{NumberRule, TextFormat};
 use crate::ground::error::{Error, Result};
 use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -185,7 +186,7 @@ impl Layout {
     }
 
     /// Byte offset and type of the intensity. Meaningful only for a valid layout.
-    pub fn intensity_place(&self) -> Option<(usize, ScalarType)> {
+    pub fn intensity_offset(&self) -> Option<(usize, ScalarType)> {
         let field = self.intensity?;
         Some((self.offset(field), self.fields.get(field as usize)?.scalar))
     }
@@ -542,7 +543,7 @@ mod tests {
         assert_eq!(channels, [(0, &fields[0]), (16, &fields[4]), (34, &fields[6])]);
         assert_eq!((layout.stride(), layout.channel_bytes()), (35, 21));
         assert_eq!(layout.position_offsets(), Some([12, 8, 4]));
-        assert_eq!(layout.intensity_place(), Some((32, ScalarType::U16)));
+        assert_eq!(layout.intensity_offset(), Some((32, ScalarType::U16)));
     }
 
     #[test]

@@ -1,11 +1,15 @@
 //! A scan in memory: the points, and what is needed to restore the file byte for byte.
 
 mod layout;
+mod scalar;
 pub mod sorted;
 mod text_format;
 
-pub use layout::{Axis, Field, Layout, LzfDialect, MAX_NAME, MAX_STRIDE, Widening, Wrapping};
-pub use text_format::{Column, MAX_DIGITS, Number, NumberRule, Printf, ScalarType, Separator, TextFormat};
+pub use layout::{
+    Axis, Field, INTENSITY_TYPES, Layout, LzfDialect, MAX_NAME, MAX_STRIDE, Widening, Wrapping,
+};
+pub use scalar::{Number, ScalarType};
+pub use text_format::{Column, MAX_DIGITS, NumberRule, Printf, Separator, TextFormat};
 
 /// The points of one scan, in the order of the file. Every bit of every value counts:
 /// NaN payloads and the sign of zero are kept.
@@ -88,17 +92,6 @@ impl Channel {
 /// Whether a point has a direction: x and y are finite and not both 0.
 pub fn has_direction([x, y, _]: &[f32; 3]) -> bool {
     (x.abs() + y.abs()).is_finite() && (*x != 0.0 || *y != 0.0)
-}
-
-/// The first channel of small integers with a plausible number of values for the lasers of a scanner.
-pub fn channel_of_lasers(channels: &[Channel]) -> Option<&Channel> {
-    const LASERS: std::ops::RangeInclusive<usize> = 4..=512;
-    channels.iter().filter(|channel| channel.field.count == 1 && channel.field.width() <= 2).find(|channel| {
-        let mut values: Vec<&[u8]> = channel.bytes.chunks_exact(channel.field.width()).collect();
-        values.sort_unstable();
-        values.dedup();
-        LASERS.contains(&values.len())
-    })
 }
 
 /// The values at the indices `points`; nothing if there are no values at all.

@@ -80,13 +80,13 @@ pub fn in_order_of_arrival(cloud: &PointCloud) -> Option<(usize, PointCloud)> {
     // Most files have no such channel, and computing slopes takes time.
     candidates.peek()?;
     let slopes = Slopes::of(&cloud.positions)?;
-    let as_is = slopes.told((0..cloud.positions.len() as u32).map(|place| place as usize));
+    let predictable_as_is = slopes.predictable((0..cloud.positions.len() as u32).map(|place| place as usize));
     for (number, channel) in candidates {
         let order = file_order(channel);
         let mut arrival = vec![0; order.len()];
         (0u32..).zip(&order).for_each(|(place, &record)| arrival[record as usize] = place);
-        let told = slopes.told(arrival.iter().map(|&place| place as usize));
-        if told as f64 > BETTER * as_is as f64 {
+        let predictable = slopes.predictable(arrival.iter().map(|&place| place as usize));
+        if predictable as f64 > BETTER * predictable_as_is as f64 {
             return Some((number, cloud.select(&arrival)));
         }
     }
@@ -144,7 +144,7 @@ impl Slopes {
 
     /// The number of points whose class is the one that most often follows the class of the point before
     /// them.
-    fn told(&self, order: impl Iterator<Item = usize>) -> u32 {
+    fn predictable(&self, order: impl Iterator<Item = usize>) -> u32 {
         let mut counts = vec![[0u32; CLASSES]; CLASSES];
         order.fold(None, |last: Option<u8>, place| {
             let class = self.classes[place];

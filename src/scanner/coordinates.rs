@@ -2,7 +2,7 @@
 //! grid. FORMAT.md 3.4.
 
 use crate::ground::decimal;
-use crate::ground::float_order::{from_ordered, ordered};
+use crate::ground::float_order::{of_rank, rank};
 use crate::ground::rounding::round_ties_even;
 
 /// The grid of the coordinates. A *unit* is the distance between neighbouring values of that grid.
@@ -132,22 +132,12 @@ impl CoordinateGrid {
         }
     }
 
-    /// The number of a file's grid in a stream.
-    pub fn to_code(self) -> u64 {
-        u64::from(self != CoordinateGrid::Millimetre)
-    }
-
-    /// The inverse of [`to_code`](Self::to_code); any other number counts as 1.
-    pub fn from_code(code: u64) -> Self {
-        if code == 0 { CoordinateGrid::Millimetre } else { CoordinateGrid::Float32 }
-    }
-
     /// The unit nearest to a value of the formula in metres: below 2^40, and 0 for NaN.
     pub fn unit_of(self, metres: f64) -> i64 {
         match self {
             _ if metres.is_nan() => 0,
             CoordinateGrid::Millimetre => round_ties_even((metres * 1000.0).clamp(-1e12, 1e12)) as i64,
-            CoordinateGrid::Float32 => ordered(metres as f32),
+            CoordinateGrid::Float32 => rank(metres as f32),
             CoordinateGrid::Lattice { step_nm } => {
                 round_ties_even((metres / lattice_step(step_nm)).clamp(-1e12, 1e12)) as i64
             }
@@ -160,7 +150,7 @@ impl CoordinateGrid {
     /// before rounding.
     pub fn value(self, unit: i64, formula: f64) -> f32 {
         match self {
-            CoordinateGrid::Float32 => from_ordered(unit),
+            CoordinateGrid::Float32 => of_rank(unit),
             _ if unit == 0 => zero_of(formula),
             CoordinateGrid::Millimetre => (unit as f64 / 1000.0) as f32,
             CoordinateGrid::Lattice { step_nm } => (unit as f64 * lattice_step(step_nm)) as f32,
@@ -215,7 +205,7 @@ impl CoordinateGrid {
 
     /// The unit of any float32 on the grid of all float32 values.
     pub fn unit_of_float(value: f32) -> i64 {
-        ordered(value)
+        rank(value)
     }
 
     /// Whether [`value`](Self::value) returns a zero with the sign of this zero.
@@ -235,7 +225,7 @@ impl CoordinateGrid {
                 let on_grid = value.abs() < 1e6 && (unit as f64 / 1000.0) as f32 == value;
                 on_grid.then_some(unit)
             }
-            CoordinateGrid::Float32 => value.is_finite().then(|| ordered(value)),
+            CoordinateGrid::Float32 => value.is_finite().then(|| rank(value)),
             CoordinateGrid::Lattice { .. } | CoordinateGrid::Digits(_) | CoordinateGrid::Half => {
                 let unit = self.unit_of(f64::from(value));
                 let near = self.value(unit, f64::from(value));
@@ -347,8 +337,8 @@ mod tests {
             let unit = CoordinateGrid::Float32.unit_in_file(value).unwrap();
             assert_eq!(CoordinateGrid::Float32.value(unit, 0.0).to_bits(), value.to_bits());
         }
-        assert_eq!(ordered(0.0) - ordered(-0.0), 1);
-        assert_eq!(ordered(1.0f32.next_up()) - ordered(1.0), 1);
+        assert_eq!(rank(0.0) - rank(-0.0), 1);
+        assert_eq!(rank(1.0f32.next_up()) - rank(1.0), 1);
         assert_eq!(CoordinateGrid::Float32.unit_in_file(f32::NAN), None);
     }
 

@@ -90,7 +90,7 @@ impl Scanner {
     /// Whether a decoder accepts the scanner's record. One that was fitted to values that no scanner measures
     /// may have constants beyond all limits.
     fn can_be_read(&self) -> bool {
-        Self::of_record(self.family_number(), &self.to_payload()).is_ok()
+        Self::from_record(self.family_number(), &self.to_payload()).is_ok()
     }
 
     fn of_sample(sample: &[ScanFile]) -> Option<Scanner> {
@@ -103,7 +103,7 @@ impl Scanner {
             return evident;
         }
         // If `firings` explains the scans, they are in firing order, which no other family has.
-        let found = firings::fit(sample).map(|(scanner, _)| scanner);
+        let found = firings::fit(sample);
         let exact = found.as_ref().map_or(0.0, |scanner| scanner.reproduced_share(positions));
         if let Some(found) = found.as_ref().filter(|scanner| scanner.reproduces_most(positions)) {
             return Some(found.clone().into());
@@ -116,7 +116,7 @@ impl Scanner {
         let is_better =
             |scanner: &Firings| found.is_none() || scanner.reproduced_share(positions) > 0.5 * (1.0 + exact);
         let moved = by_time::fit(sample, found.as_ref());
-        let mounted = || firings::fit_mounted(sample).map(|(scanner, _)| scanner).filter(is_better);
+        let mounted = || firings::fit_mounted(sample).filter(is_better);
         let firings = moved.or_else(mounted).or(found).map(Scanner::from);
         firings.or_else(beams).or(turned.map(|(scanner, _)| scanner))
     }
@@ -161,7 +161,7 @@ impl Scanner {
                 if !may_fit(&positions) {
                     continue;
                 }
-                let Some((found, _)) = fit(std::slice::from_ref(fullest), orientation) else {
+                let Some(found) = fit(std::slice::from_ref(fullest), orientation) else {
                     failed += 1;
                     if failed > may_fail {
                         break;
@@ -169,8 +169,8 @@ impl Scanner {
                     continue;
                 };
                 let reproduces_most = found.reproduces_most(&positions);
-                let fit_all = || fit(sample, orientation).map(|(scanner, _)| scanner);
-                let found = if reproduces_most && sample.len() > 1 { fit_all()? } else { found };
+                let found =
+                    if reproduces_most && sample.len() > 1 { fit(sample, orientation)? } else { found };
                 let found = Scanner::from(found).oriented(orientation);
                 if reproduces_most {
                     return Some((found, true));
@@ -256,12 +256,12 @@ impl Scanner {
     ///
     /// # Errors
     /// If the payload is cut short, too long, or holds values that no scanner has.
-    pub fn of_record(family: u64, mut payload: &[u8]) -> Result<Option<Scanner>> {
+    pub fn from_record(family: u64, mut payload: &[u8]) -> Result<Option<Scanner>> {
         let input = &mut payload;
         if !matches!(family, HDL64 | FIRINGS) {
             return Ok(None);
         }
-        let orientation = Orientation::of_number(read_unsigned(input, "scanner: orientation")?)?;
+        let orientation = Orientation::from_number(read_unsigned(input, "scanner: orientation")?)?;
         let family = match family {
             HDL64 => Family::Hdl64(Hdl64::read_from(input)?),
             _ => Family::Firings(Firings::read_from(input)?),
@@ -303,6 +303,12 @@ impl Scanner {
     /// last bit; `None` if it has no recipe.
     pub fn reproduced_share(&self, cloud: &PointCloud) -> Option<f64> {
         self.firings().map(|own| own.reproduced_share(&cloud.positions))
+    }
+
+    /// How well it explains a cloud along its axes: the share of the points in its range image, plus the share that
+    /// its recipe reproduces. Units of the same model see about the same, but only one of them to the last bit.
+    pub fn score(&self, cloud: &PointCloud) -> f64 {
+        self.explained_share(cloud) + self.reproduced_share(cloud).unwrap_or(0.0)
     }
 
     /// Whether its recipe reproduces most of one of these scans to the last bit.

@@ -11,6 +11,10 @@ mod ideal;
 mod orientation;
 mod range_image;
 
+use std::ops::RangeInclusive;
+
+use crate::scan::Channel;
+
 pub use coordinates::{CoordinateGrid, nearest_millimetre};
 pub use family::{ColumnModels, Family, LEAST_EXPLAINED, Scanner};
 pub use ideal::{ideal, ideal_of};
@@ -19,6 +23,19 @@ pub use range_image::{
     EXACT_RANGE_BITS, Echo, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, Projection, REACH,
     RangeImage, Return,
 };
+
+/// Numbers of lasers that a scanner may have.
+pub(crate) const PLAUSIBLE_LASERS: RangeInclusive<usize> = 4..=512;
+
+/// The first channel of small integers with a plausible number of values for the lasers of a scanner.
+pub(crate) fn channel_of_lasers(channels: &[Channel]) -> Option<&Channel> {
+    channels.iter().filter(|channel| channel.field.count == 1 && channel.field.width() <= 2).find(|channel| {
+        let mut values: Vec<&[u8]> = channel.bytes.chunks_exact(channel.field.width()).collect();
+        values.sort_unstable();
+        values.dedup();
+        PLAUSIBLE_LASERS.contains(&values.len())
+    })
+}
 
 /// The median of some values; infinite if there are none.
 pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {

@@ -40,7 +40,7 @@ impl Orientation {
     ///
     /// # Errors
     /// If there is none.
-    pub fn of_number(number: u64) -> Result<Self> {
+    pub fn from_number(number: u64) -> Result<Self> {
         let order = usize::try_from(number / 8).ok().and_then(|order| ORDERS.get(order));
         let order = order.ok_or_else(|| Error::corrupt(format!("scanner: no orientation {number}")))?;
         Ok(Orientation([0, 1, 2].map(|axis| (order[axis], number >> axis & 1 == 1))))
@@ -180,7 +180,7 @@ fn axis_of_rotation(positions: &[[f32; 3]]) -> Option<usize> {
     /// In metres: the beams of nearer points may start too far from the axis.
     const NEAREST: f32 = 5.0;
     /// Number of elevations that are told apart, and of those that count: a scanner's lasers.
-    const TOLD: usize = 3600;
+    const ELEVATIONS: usize = 3600;
     const LASERS: usize = 128;
     /// Minimum share of the points at these elevations, and how many times that about another axis it is.
     const LEAST: f64 = 0.3;
@@ -196,11 +196,11 @@ fn axis_of_rotation(positions: &[[f32; 3]]) -> Option<usize> {
         return None;
     }
     let share = |axis: usize| {
-        let mut counts = [0_u32; TOLD + 1];
+        let mut counts = [0_u32; ELEVATIONS + 1];
         for position in &far {
             let [x, y] = [position[(axis + 1) % 3], position[(axis + 2) % 3]].map(f64::from);
             let elevation = angle::atan2(f64::from(position[axis]), (x * x + y * y).sqrt());
-            counts[((elevation / TAU * 2.0 + 0.5) * TOLD as f64) as usize] += 1;
+            counts[((elevation / TAU * 2.0 + 0.5) * ELEVATIONS as f64) as usize] += 1;
         }
         counts.sort_unstable_by(|a, b| b.cmp(a));
         f64::from(counts[..LASERS].iter().sum::<u32>()) / far.len() as f64
@@ -232,7 +232,7 @@ mod tests {
     const COUNT: u64 = 8 * ORDERS.len() as u64;
 
     fn all() -> impl Iterator<Item = Orientation> {
-        (0..COUNT).map(|number| Orientation::of_number(number).unwrap())
+        (0..COUNT).map(|number| Orientation::from_number(number).unwrap())
     }
 
     #[test]
@@ -241,9 +241,9 @@ mod tests {
             assert_eq!(orientation.number(), number);
             assert!(all().take(number as usize).all(|other| other != orientation));
         }
-        assert!(Orientation::of_number(0).unwrap().is_default());
-        assert!(Orientation::of_number(COUNT).is_err());
-        assert!(Orientation::of_number(u64::MAX).is_err());
+        assert!(Orientation::from_number(0).unwrap().is_default());
+        assert!(Orientation::from_number(COUNT).is_err());
+        assert!(Orientation::from_number(u64::MAX).is_err());
     }
 
     #[test]

@@ -9,7 +9,7 @@ use super::ordered::run_ordered;
 use super::source::{GroupJob, IndexedGroups, StreamedGroups};
 use crate::container::{CodedFrame, FrameHeader, IndexedReader, StreamReader};
 use crate::files;
-use crate::frame::group::{DecodedImage, DecodedScan, GroupDecoder};
+use crate::frame::decoder::{DecodedImage, DecodedScan, GroupDecoder};
 use crate::frame::parameters::OriginalFile;
 use crate::frame::stages::StageReport;
 use crate::ground::error::{Error, Limits, Result};

@@ -3,16 +3,20 @@
 use std::borrow::Cow;
 use std::io::Write;
 use std::mem;
+use std::sync::Arc;
 
-use super::encoded::{EncodeStatistics, OpenStream};
+use rayon::ThreadPool;
+
 use super::input::{FrameInput, ReadFrame};
 use super::ordered::run_ordered;
-use super::scanner_choice::{DriveScanners, choose_scanners, records_of};
-use crate::container::{CodedFrame, FrameHeader, Group};
-use crate::frame::group::GroupEncoder;
+use super::scanner_choice::{DriveScanners, KeptScanners, choose_scanners, records_of};
+use super::statistics::{EncodeStatistics, FrameStatistics};
+use crate::container::{CodedFrame, FrameHeader, Group, Index, ScannerRecord, StreamWriter};
+use crate::frame::encoder::GroupEncoder;
 use crate::frame::settings::EncoderConfig;
 use crate::frame::stages::StageReport;
 use crate::ground::error::{Error, Limits, Result};
+use crate::ground::team::{on, pool_for_frames};
 use crate::scan::ScanFile;
 
 /// A group is closed early when its files reach this many bytes in total: decoders hold a whole group in
@@ -219,4 +223,89 @@ fn within_limits(scan: ScanFile) -> Result<ScanFile> {
     }
     let bytes = scan.to_bytes()?;
     Ok(ScanFile::opaque(scan.name, bytes))
+}
+
+/// Encodes frames one by one, each to a stream of its own. The scanner is fitted to the first frames, and kept once
+/// the fit succeeds.
+#[derive(Clone)]
+pub(crate) struct MessageCoder {
+    config: Arc<EncoderConfig>,
+    scanners: KeptScanners,
+    pool: Option<Arc<ThreadPool>>,
+}
+
+impl MessageCoder {
+    /// # Errors
+    /// If the threads cannot be started.
+    pub fn new(config: EncoderConfig) -> Result<Self> {
+        let pool = pool_for_frames(config.threads)?.map(Arc::new);
+        Ok(MessageCoder { config: Arc::new(config), scanners: KeptScanners::default(), pool })
+    }
+
+    pub fn config(&self) -> &EncoderConfig {
+        &self.config
+    }
+
+    /// A stream with this frame alone.
+    ///
+    /// # Errors
+    /// As [`encode`].
+    pub fn encode(&mut self, frame: FrameInput) -> Result<Vec<u8>> {
+        let scanners = self.scanners.for_next(|| Some(frame.clone()), &self.config)?;
+        on(self.pool.as_deref(), || encode_known(vec![frame], &scanners, &self.config))
+    }
+}
+
+/// A stream to which groups are written.
+pub(crate) struct OpenStream<W> {
+    writer: StreamWriter<W>,
+    encoded: EncodeStatistics,
+}
+
+impl<W: Write> OpenStream<W> {
+    /// Writes the stream header and the scanners.
+    ///
+    /// # Errors
+    /// This and all other functions: if the output fails.
+    pub fn begin(out: W, scanners: &[ScannerRecord]) -> Result<Self> {
+        let mut writer = StreamWriter::create(out)?;
+        for scanner in scanners {
+            writer.write_scanner(scanner)?;
+        }
+        Ok(OpenStream { writer, encoded: EncodeStatistics::default() })
+    }
+
+    /// Continues a stream that already has these contents, `position` bytes long, with these scanners.
+    pub fn resume(
+        out: W,
+        (index, position): (Index, u64),
+        scanners: &[ScannerRecord],
+        encoded: EncodeStatistics,
+    ) -> Result<Self> {
+        Ok(OpenStream { writer: StreamWriter::resume(out, index, position, scanners)?, encoded })
+    }
+
+    /// Bytes written so far.
+    pub fn position(&self) -> u64 {
+        self.writer.position()
+    }
+
+    /// Writes the next groups.
+    pub fn write(&mut self, groups: &[EncodedGroup]) -> Result<()> {
+        for EncodedGroup { group, stages, .. } in groups {
+            self.writer.write_group(group)?;
+            for (frame, stages) in group.frames.iter().zip(stages) {
+                let number = self.encoded.frames.len() as u64;
+                let statistics = FrameStatistics::of(frame, *stages);
+                self.encoded.add(statistics.map_err(|e| e.within_frame(number, &frame.header.name))?);
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the index and the end.
+    pub fn finish(mut self) -> Result<EncodeStatistics> {
+        (_, self.encoded.stream_bytes) = self.writer.finish()?;
+        Ok(self.encoded)
+    }
 }

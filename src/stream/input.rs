@@ -71,7 +71,7 @@ impl FrameInput {
 
     /// The files found below an input; frames of different drives are marked as such.
     #[cfg(feature = "cli")]
-    pub fn found(files: impl IntoIterator<Item = FoundFile>) -> Vec<Self> {
+    pub fn from_files(files: impl IntoIterator<Item = FoundFile>) -> Vec<Self> {
         let (mut inputs, mut last, mut number) = (Vec::new(), None, 0);
         for FoundFile { path, name, drive, time } in files {
             if last.as_ref().is_some_and(|last| *last != drive) {
@@ -115,7 +115,9 @@ impl FrameInput {
         };
         let can_do_without = self.stamp.kind != FrameKind::File;
         if !(name.is_empty() && can_do_without) {
-            let folder = name.strip_suffix('/').filter(|_| self.stamp.kind == FrameKind::Beside);
+            // An empty folder, or a folder for the points of a topic.
+            let may_be_folder = matches!(self.stamp.kind, FrameKind::Beside | FrameKind::Points);
+            let folder = name.strip_suffix('/').filter(|_| may_be_folder);
             check_name(&self.path(), folder.unwrap_or(name))?;
         }
         Ok(name)

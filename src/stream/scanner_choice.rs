@@ -144,12 +144,8 @@ impl DriveScanners {
     /// The track of the scanner that explains most of the points that it would see, and how much that is;
     /// `own` if none explains any.
     fn track_by_points<'c>(&self, own: u8, seen_by: impl Fn(&Scanner) -> Cow<'c, PointCloud>) -> (u8, f64) {
-        let explained = |scanner: &Scanner| {
-            let cloud = seen_by(scanner);
-            // Units of the same model see about the same, but only one of them to the last bit.
-            scanner.explained_share(&cloud) + scanner.reproduced_share(&cloud).unwrap_or(0.0)
-        };
-        let of = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, explained);
+        let score = |scanner: &Scanner| scanner.score(&seen_by(scanner));
+        let of = |scanner: &Option<Scanner>| scanner.as_ref().map_or(0.0, score);
         let tracks = (0u8..).zip(&self.scanners).map(|(track, scanner)| (track, of(scanner)));
         // The first one wins ties.
         tracks.fold((own, 0.0), |best, next| if next.1 > best.1 { next } else { best })

@@ -40,7 +40,8 @@ pub struct StoredScanner {
 
 impl StoredScanner {
     pub(crate) fn parse(record: ScannerRecord) -> Result<Arc<Self>> {
-        let scanner = Scanner::of_record(record.family, &record.payload).map_err(|e| e.within("scanner"))?;
+        let scanner =
+            Scanner::from_record(record.family, &record.payload).map_err(|e| e.within("scanner"))?;
         Ok(Arc::new(StoredScanner { scanner, record }))
     }
 

@@ -31,7 +31,7 @@ fn no_more_of_a_file_is_written_than_its_header_says() {
     };
     let header = FrameHeader { file_size: 10 << 20, ..FrameHeader::default() };
     let (mut written, mut longest) = (0, 0);
-    let error = decoder::write_checked(&scan, &header, |piece| {
+    let error = super::decoder::write_checked(&scan, &header, |piece| {
         (written, longest) = (written + piece.len() as u64, longest.max(piece.len()));
         Ok(())
     });
@@ -380,6 +380,6 @@ fn sections_that_may_be_skipped_are_and_parameters_come_first() {
         changed[0].frames[0].sections = sections;
         assert!(FrameParameters::of(&changed[0].frames[0]).is_err());
         let error = decode_all(&written(&scanners, &changed)).unwrap_err().to_string();
-        assert!(error.contains("parameters section is missing"), "{error}");
+        assert!(error.contains("parameters: the section is missing"), "{error}");
     }
 }

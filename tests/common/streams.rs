@@ -101,13 +101,13 @@ fn moved() -> Parts {
 pub fn moved_through_a_map(known: &Known) -> Parts {
     let points = &known.frames[0];
     let measured: Vec<[f32; 3]> = points.iter().map(|&[x, y, z, _]| [x, y, z]).collect();
-    let knot = |time, x| Knot { time, pose: Pose { place: [x, -x, 1 << 25], turn: [1 << 28, -x, 7] } };
+    let knot = |time, x| Knot { time, pose: Pose { position: [x, -x, 1 << 25], rotation: [1 << 28, -x, 7] } };
     let world = World {
         rotation: [0.1, -0.2, 3.0],
         origin: [1500.0, -20.0, 1.5],
         lattices: [Some(-13), None],
         times: Times { border: 1, short: 2 },
-        first: vec![Pose { place: [1 << 20, 2, 3], turn: [-4, 5, -6] }; 2],
+        first: vec![Pose { position: [1 << 20, 2, 3], rotation: [-4, 5, -6] }; 2],
         knots: vec![knot(0, -100), knot(400, 1 << 29), knot(401, 9)],
         corrections: vec![
             Correction { record: 3, steps: [1, 0], units: [0; 3] },

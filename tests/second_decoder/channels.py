@@ -10,7 +10,7 @@ from layout import F32, SIZES
 from models import LeastSquares, MixedBits, f32, floats, ilog2, to_int
 from scanner import bits_of_float, float_of_bits
 from sections import ByteModel, Intensity, Near
-from values import Scale, at_place, converted, geometry, geometry_of_place, place
+from values import Scale, at_rank, converted, geometry, geometry_of_place, rank
 
 CONSTANT, COLUMNS, BYTES, PACKED = range(4)
 SAME, INTEGERS, LEVELS, IMAGE = 1, 2, 3, 4
@@ -157,7 +157,7 @@ class Column:
         past = []
         for n in range(records):
             if has_exceptions and self.is_off.code(bits):
-                found.append(at_place(kind, self.off_scale(bits)))
+                found.append(at_rank(kind, self.off_scale(bits)))
                 past.append(past[-1] if past else 0)
                 continue
             if rule:
@@ -185,7 +185,7 @@ class Column:
         found = []
         for row, column in zip(rows, columns):
             if has_exceptions and self.is_off.code(bits):
-                found.append(at_place(kind, self.off_scale(bits)))
+                found.append(at_rank(kind, self.off_scale(bits)))
             else:
                 level = self.levels.code(bits, row, column)
                 found.append(scale.value(palette[min(level, count - 1)]))
@@ -203,7 +203,7 @@ class Column:
         found = []
         for row, column, own in zip(rows, columns, steps):
             if has_exceptions and self.is_off.code(bits):
-                found.append(at_place(kind, self.off_scale(bits)))
+                found.append(at_rank(kind, self.off_scale(bits)))
             else:
                 found.append(scale.value(self.image.code(bits, row, column, own) * divisor))
         return found
@@ -416,11 +416,11 @@ class RoundedSums:
 
     def expected(self, o):
         value = f32(middle(self.bounds) + self.sums.get(o, (0.0, 0.0))[0])
-        return 0 if isnan(value) else place(F32, bits_of_float(value))
+        return 0 if isnan(value) else rank(F32, bits_of_float(value))
 
     def learn(self, o, v):
         before, self.missed = self.missed, None
-        t = float_of_bits(at_place(F32, v))
+        t = float_of_bits(at_rank(F32, v))
         if not isfinite(t):
             return
         above = float_of_bits(bits_of_float(abs(t)) + 1)

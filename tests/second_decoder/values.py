@@ -23,8 +23,8 @@ def double_of_bits(v):
     return struct.unpack("<d", v.to_bytes(8, "little"))[0]
 
 
-def place(kind, value):
-    """The place of a value among all of its type."""
+def rank(kind, value):
+    """The rank of a value among all of its type."""
     bits = 8 * SIZES[kind]
     if kind in (F32, F64):
         signed = wrap(value, bits)
@@ -34,7 +34,7 @@ def place(kind, value):
     return value
 
 
-def at_place(kind, n):
+def at_rank(kind, n):
     bits = 8 * SIZES[kind]
     if kind in (F32, F64):
         signed = wrap(n, bits)
@@ -55,14 +55,14 @@ def converted(kind, value, to):
         if isnan(v) and to == F32:
             return 0x7FC00000
     else:
-        v = float(value if kind == U64 else place(kind, value))
+        v = float(value if kind == U64 else rank(kind, value))
     if to == F32:
         return bits_of_float(f32(v))
     if to == F64:
         return bits_of_double(v)
     if to == U64:
         return to_int(v, 0, M64)
-    return at_place(to, to_int(v))
+    return at_rank(to, to_int(v))
 
 
 class Scale:
@@ -85,7 +85,7 @@ class Scale:
     def value(self, n):
         """The value of an integer."""
         if self.form is None:
-            return at_place(self.kind, n)
+            return at_rank(self.kind, n)
         n = float(n)
         if self.form == QUOTIENT:
             v = n / self.divisor
@@ -102,9 +102,9 @@ class Scale:
         if isnan(v):
             return 0
         if self.form is None and self.kind == F32:
-            return place(F32, bits_of_float(f32(v)))
+            return rank(F32, bits_of_float(f32(v)))
         if self.form is None and self.kind == F64:
-            return place(F64, bits_of_double(v))
+            return rank(F64, bits_of_double(v))
         v /= self.step
         return to_int(float(round(v)) if isfinite(v) else v)
 

@@ -120,7 +120,7 @@ mod tests {
             })
         };
         for number in 0..48 {
-            let orientation = Orientation::of_number(number).unwrap();
+            let orientation = Orientation::from_number(number).unwrap();
             let point = [7.0, -8.0, 9.5];
             let of_scanner = orientation.to_file(moved(&pose.motion(), orientation.to_scanner(point)));
             let of_file = moved(&along_axes_of_file(&pose.motion(), orientation), point);

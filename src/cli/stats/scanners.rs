@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use crate::cli::table;
 use crate::container::{Group, ScannerId, ScannerRecord};
-use crate::frame::group::{Explained, GroupDecoder};
+use crate::frame::decoder::{Explained, GroupDecoder};
 use crate::frame::{FrameParameters, PositionFidelity, StageReport};
 use crate::ground::error::{Error, Limits, Result};
 use crate::scanner::Scanner;
@@ -43,7 +43,7 @@ impl KnownScanners {
     pub fn add(&mut self, record: &ScannerRecord) -> Result<()> {
         let id = record.id();
         if self.known.iter().all(|known| known.id != id)
-            && let Some(scanner) = Scanner::of_record(record.family, &record.payload)?
+            && let Some(scanner) = Scanner::from_record(record.family, &record.payload)?
         {
             self.known.push(KnownScanner { id, scanner, first: None });
         }
@@ -85,7 +85,7 @@ impl KnownScanners {
         let of_scanner = |known: &KnownScanner| ScannerStats {
             description: known.scanner.to_string(),
             share_in_image: known.first.and_then(|first| metrics::ratio(first.points, first.in_image)),
-            share_exact: known.first.and_then(|first| metrics::ratio(first.points, first.exact)),
+            share_exact: known.first.and_then(|first| metrics::ratio(first.points, first.reproduced)),
         };
         self.known.iter().map(of_scanner).collect()
     }

@@ -59,7 +59,7 @@ pub fn run(args: &StatsArgs, console: Console) -> Result<()> {
         (None, decoded, None)
     } else {
         let frames = find_frames(std::slice::from_ref(&args.input))?.frames;
-        let frames = FrameInput::found(frames);
+        let frames = FrameInput::from_files(frames);
         let config = encoder_config("stats", &args.coding, args.threads.threads);
         let (encoding, stream) = encode_in_memory(&frames, &config, console)?;
         (Some(encoding), decode(&stream[..], args, console)?, range_step(&config))

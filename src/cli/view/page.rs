@@ -12,10 +12,8 @@ use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use serde::Serialize;
 
-use crate::ScalarType;
 use crate::cli::errors::about;
-use crate::ground::error;
-use crate::library::{ChannelInfo, Decoder, FrameDetails, FrameInfo, Scalar, Scan};
+use crate::library::{ChannelValues, Decoder, FrameDetails, FrameInfo, Scan};
 
 const PAGE: &str = include_str!("../../../web/page.html");
 const SCRIPT: &str = include_str!("../../../web/view.js");
@@ -97,7 +95,11 @@ pub fn write<R: Read + Seek + Send>(
 }
 
 /// A frame, and its points in the form that the script's function `unpacked` expects.
-fn pack(scan: &Scan, details: FrameDetails, info: &FrameInfo) -> error::Result<(Frame, Vec<u8>)> {
+fn pack(
+    scan: &Scan,
+    details: FrameDetails,
+    info: &FrameInfo,
+) -> crate::ground::error::Result<(Frame, Vec<u8>)> {
     let positions = positions(scan);
     let finite = positions.iter().flatten().filter(|metres| metres.is_finite());
     let reach = finite.fold(0.0, |reach: f64, metres| reach.max(metres.abs()));
@@ -127,7 +129,7 @@ fn pack(scan: &Scan, details: FrameDetails, info: &FrameInfo) -> error::Result<(
     for channel in
         scan.channels().filter(|channel| channel.count == 1 && !["x", "y", "z"].contains(&channel.name))
     {
-        let values = numbers_of(scan, &channel)?;
+        let values = scan.values(channel.name)?.to_f64();
         let finite = || values.iter().copied().filter(|value| value.is_finite());
         let least = finite().reduce(f64::min).unwrap_or(0.0);
         let range = finite().reduce(f64::max).unwrap_or(0.0) - least;
@@ -149,35 +151,15 @@ fn pack(scan: &Scan, details: FrameDetails, info: &FrameInfo) -> error::Result<(
 
 /// x, y and z of each point, in metres; NaN for files without them.
 fn positions(scan: &Scan) -> Vec<[f64; 3]> {
-    if !scan.positions().is_empty() {
+    if scan.has_positions() {
         return scan.positions().iter().map(|position| position.map(f64::from)).collect();
     }
     let column = |name| {
-        let channel = scan.channels().find(|channel| channel.name == name && channel.count == 1);
-        channel.and_then(|channel| numbers_of(scan, &channel).ok())
+        let values = scan.values(name).ok().filter(|values| values.len() == scan.len());
+        values.map(ChannelValues::to_f64)
     };
     let columns = ["x", "y", "z"].map(|name| column(name).unwrap_or_else(|| vec![f64::NAN; scan.len()]));
     (0..scan.len()).map(|point| std::array::from_fn(|axis| columns[axis][point])).collect()
-}
-
-/// The values of a channel.
-fn numbers_of(scan: &Scan, channel: &ChannelInfo<'_>) -> error::Result<Vec<f64>> {
-    fn of<T: Scalar>(scan: &Scan, name: &str, number: impl Fn(T) -> f64) -> error::Result<Vec<f64>> {
-        Ok(scan.channel::<T>(name)?.iter().copied().map(number).collect())
-    }
-    let name = channel.name;
-    match channel.scalar {
-        ScalarType::I8 => of::<i8>(scan, name, f64::from),
-        ScalarType::U8 => of::<u8>(scan, name, f64::from),
-        ScalarType::I16 => of::<i16>(scan, name, f64::from),
-        ScalarType::U16 => of::<u16>(scan, name, f64::from),
-        ScalarType::I32 => of::<i32>(scan, name, f64::from),
-        ScalarType::U32 => of::<u32>(scan, name, f64::from),
-        ScalarType::I64 => of::<i64>(scan, name, |value| value as f64),
-        ScalarType::U64 => of::<u64>(scan, name, |value| value as f64),
-        ScalarType::F32 => of::<f32>(scan, name, f64::from),
-        ScalarType::F64 => of::<f64>(scan, name, f64::from),
-    }
 }
 
 /// Appends the differences between consecutive numbers: the low bytes of all, then the high bytes.

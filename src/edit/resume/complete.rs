@@ -7,11 +7,11 @@ use super::fingerprint::fingerprint;
 use crate::container::{FrameHeader, Record, ScannerId, ScannerRecord, StreamReader};
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::encoded::{EncodeStatistics, FrameStatistics};
 use crate::stream::encoder::{SequenceCoder, groups_of};
 use crate::stream::input::FrameInput;
 use crate::stream::ordered::run_ordered;
 use crate::stream::scanner_choice::{choose_scanners, records_of};
+use crate::stream::statistics::{EncodeStatistics, FrameStatistics};
 
 /// Confirms that a complete stream is the one that an encode of these frames with these settings gives; there
 /// is no journal of it any more. An exact stream holds the checksums of the files, so that they only need be

@@ -9,7 +9,7 @@ use super::settings::Settings;
 use crate::container::{CodedFrame, Index, Record, StreamReader};
 use crate::frame::stages::StageReport;
 use crate::ground::error::{Error, Limits, Result};
-use crate::stream::encoded::{EncodeStatistics, FrameStatistics};
+use crate::stream::statistics::{EncodeStatistics, FrameStatistics};
 
 /// The beginning of a partial stream that is intact and recorded in the journal.
 #[derive(Default)]

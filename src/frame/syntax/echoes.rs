@@ -28,6 +28,17 @@ pub struct EchoModels {
     intensities: IntegerModel,
 }
 
+/// The ranges before an echo, as contexts of its own.
+#[derive(Default)]
+struct Before {
+    /// Whether the last echo has the range of its return.
+    was_same: bool,
+    /// Whether the last echo that could be predicted by one before it was.
+    was_last: bool,
+    /// The range of the last echo of the row, in steps.
+    last: Option<u32>,
+}
+
 /// Upper limit of whole numbers that float32 represents exactly.
 const MOST_WHOLE: f32 = 16_777_216.0;
 
@@ -38,7 +49,7 @@ impl EchoModels {
     /// If the section is damaged or holds another number of echoes.
     pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let in_image = frame.cells.len() + frame.blanks.len();
-        let missing = (frame.records - frame.strays).saturating_sub(in_image);
+        let missing = frame.in_image().saturating_sub(in_image);
         let has_intensity =
             frame.layout.intensity.is_some() && frame.parameters.intensity != IntensityFidelity::None;
         frame.echo_intensity.resize(missing, 0.0);
@@ -57,13 +68,13 @@ impl EchoModels {
         let mut known = std::mem::take(&mut frame.image.echoes).into_iter().peekable();
         let mut echoes: Vec<Echo> = Vec::with_capacity(if C::ENCODES { missing } else { 0 });
         let mut above = vec![false; width as usize];
-        let (mut row, mut left, mut was_same, mut was_last, mut last) = (u32::MAX, false, false, false, None);
+        let (mut row, mut left, mut before) = (u32::MAX, false, Before::default());
         for &cell in &frame.cells {
             if coder.is_exhausted() {
                 break;
             }
             if cell / width != row {
-                (row, left, last) = (cell / width, false, None);
+                (row, left, before.last) = (cell / width, false, None);
             }
             let column = (cell % width) as usize;
             let first_steps = frame.image.steps.cells()[cell as usize];
@@ -76,30 +87,10 @@ impl EchoModels {
                     break;
                 }
                 let wanted = next.map_or(0, |echo| echo.steps);
-                let is_same = self.same_range[usize::from(was_same)].code(coder, wanted == first_steps);
-                was_same = is_same;
-                let mut steps = first_steps;
-                if !is_same {
-                    if let Some(last) = last {
-                        let nearer = wanted.abs_diff(last) < wanted.abs_diff(first_steps);
-                        was_last = self.by_last[usize::from(was_last)].code(coder, nearer);
-                    }
-                    let by_last = was_last && last.is_some();
-                    let from = if by_last { last.unwrap_or(first_steps) } else { first_steps };
-                    let difference = i64::from(wanted) - i64::from(from);
-                    let difference = self.ranges[usize::from(by_last)].code_signed(coder, difference);
-                    let found = i64::from(from).wrapping_add(difference);
-                    if !(1..=i64::from(MOST_STEPS)).contains(&found) {
-                        return Err(Error::corrupt("echoes: a range is out of range"));
-                    }
-                    steps = found as u32;
-                }
-                last = Some(steps);
+                let steps = self.code_steps(coder, &mut before, first_steps, wanted)?;
                 if has_intensity {
-                    let index = echoes.len();
-                    let value =
-                        self.code_intensity(coder, is_same, first_intensity, frame.echo_intensity[index]);
-                    frame.echo_intensity[index] = value;
+                    let value = &mut frame.echo_intensity[echoes.len()];
+                    *value = self.code_intensity(coder, before.was_same, first_intensity, *value);
                 }
                 echoes.push(Echo { cell, steps });
                 count += 1;
@@ -112,6 +103,38 @@ impl EchoModels {
         }
         frame.image.echoes = echoes;
         Ok(())
+    }
+
+    /// Codes the range of an echo, given that of its return.
+    fn code_steps<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        before: &mut Before,
+        first_steps: u32,
+        wanted: u32,
+    ) -> Result<u32> {
+        let is_same = self.same_range[usize::from(before.was_same)].code(coder, wanted == first_steps);
+        before.was_same = is_same;
+        let mut steps = first_steps;
+        if !is_same {
+            let mut from = first_steps;
+            let mut by_last = false;
+            if let Some(last) = before.last {
+                let is_nearer = wanted.abs_diff(last) < wanted.abs_diff(first_steps);
+                by_last = self.by_last[usize::from(before.was_last)].code(coder, is_nearer);
+                before.was_last = by_last;
+                from = if by_last { last } else { first_steps };
+            }
+            let difference = i64::from(wanted) - i64::from(from);
+            let difference = self.ranges[usize::from(by_last)].code_signed(coder, difference);
+            let decoded = i64::from(from).wrapping_add(difference);
+            if !(1..=i64::from(MOST_STEPS)).contains(&decoded) {
+                return Err(Error::corrupt("echoes: a range is out of range"));
+            }
+            steps = decoded as u32;
+        }
+        before.last = Some(steps);
+        Ok(steps)
     }
 
     fn code_intensity<C: BitCoder>(

@@ -46,14 +46,14 @@ impl FileModels {
                 frame.records
             )));
         }
-        frame.strays = saturated(self.sizes.code(coder, frame.strays as u64));
+        frame.strays.count = saturated(self.sizes.code(coder, frame.strays.count as u64));
         Error::check_limit("points of the frame", frame.records as u64, limits.points)?;
         let record_bytes = frame.records.saturating_mul(frame.layout.stride());
         Error::check_limit("bytes of the frame's records", record_bytes as u64, limits.file_bytes)?;
-        if frame.strays > frame.records {
+        if frame.strays.count > frame.records {
             return Err(Error::corrupt("more strays than points"));
         }
-        if frame.layout.position.is_none() && frame.strays < frame.records {
+        if frame.layout.position.is_none() && frame.strays.count < frame.records {
             return Err(Error::corrupt("returns without positions"));
         }
         Ok(())

@@ -60,7 +60,7 @@ impl ImageModels {
         reference: Option<&Reference>,
         frame: &mut FrameParts,
     ) -> Result<()> {
-        let records = frame.records - frame.strays;
+        let records = frame.in_image();
         if records == 0 {
             return Ok(());
         }
@@ -119,7 +119,8 @@ impl OccupancyModels {
 impl FrameParts {
     /// The first row of the lower half, if the halves of the image are coded separately.
     pub fn middle(&self) -> Option<usize> {
-        (self.parameters.halved && self.records > self.strays).then(|| self.occupancy.rows().div_ceil(2))
+        (self.parameters.halved && self.records > self.strays.count)
+            .then(|| self.occupancy.rows().div_ceil(2))
     }
 
     /// Resizes the decoder's grids to the size of the image.

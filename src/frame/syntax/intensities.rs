@@ -102,7 +102,7 @@ impl IntensityModels {
         values.resize(returns + part.outside, 0.0);
         // Strays that repeat another one mostly have its intensity, too.
         let sources: Vec<Option<usize>> = (0..part.outside)
-            .map(|index| part.frame.stray_trails.get(index).and_then(PointTrail::source))
+            .map(|index| part.frame.strays.trails.get(index).and_then(PointTrail::source))
             .collect();
         let strays = || (returns..).zip(&sources);
         let are_shared = C::ENCODES
@@ -118,7 +118,7 @@ impl IntensityModels {
         let row = |index: usize| match part.cells.get(index) {
             Some(cell) => cell / width + 1,
             None if returns > 0 => 0,
-            None => part.frame.stray_trails.get(index).map_or(0, |trail| trail.row),
+            None => part.frame.strays.trails.get(index).map_or(0, |trail| trail.row),
         };
         let context = RecordContext {
             rows: coded.iter().map(|&index| row(index)).collect(),
@@ -190,7 +190,7 @@ fn code_strays<C: BitCoder>(
     values: &mut Intensities,
 ) {
     values.outside.resize(part.outside, 0.0);
-    let trails = StrayTrails(&part.frame.stray_trails);
+    let trails = StrayTrails(&part.frame.strays.trails);
     let mut levels: Vec<u16> = Vec::with_capacity(part.outside);
     model.start_frame(scale, (trails.rows(), 1), part.outside);
     for index in 0..part.outside {
@@ -280,7 +280,7 @@ fn code_tokens<C: TokenCoder>(
         }
     }
     values.outside.resize(part.outside, 0.0);
-    let trails = StrayTrails(&part.frame.stray_trails);
+    let trails = StrayTrails(&part.frame.strays.trails);
     let mut levels: Vec<u16> = Vec::with_capacity(part.outside);
     for (index, value) in values.outside.iter_mut().enumerate() {
         if coder.is_exhausted() {
@@ -310,12 +310,12 @@ fn pack<C: TokenCoder>(
 impl FrameParts {
     /// Number of records that are not returns.
     pub fn outside(&self) -> usize {
-        self.strays + self.blanks.len()
+        self.strays.count + self.blanks.len()
     }
 
     /// Moves the intensities out of the frame; those of the blanks follow those of the strays.
     pub fn take_intensities(&mut self) -> Intensities {
-        let (of_cells, mut outside) = (take(&mut self.intensity), take(&mut self.stray_intensity));
+        let (of_cells, mut outside) = (take(&mut self.intensity), take(&mut self.strays.intensity));
         if !of_cells.cells().is_empty() {
             outside.extend(of_cells.at(&self.blanks));
         }
@@ -325,8 +325,8 @@ impl FrameParts {
     /// Moves the intensities back into the frame.
     pub fn put_intensities(&mut self, Intensities { of_cells, mut outside }: Intensities) {
         outside.resize(self.outside(), 0.0);
-        let of_blanks = outside.split_off(self.strays);
-        (self.intensity, self.stray_intensity) = (of_cells, outside);
+        let of_blanks = outside.split_off(self.strays.count);
+        (self.intensity, self.strays.intensity) = (of_cells, outside);
         self.intensity.fill(&self.blanks, &of_blanks);
     }
 }

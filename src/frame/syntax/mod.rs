@@ -172,7 +172,7 @@ impl FrameParts {
     /// The scanner, if the frame has a range image.
     fn scanner_of_image<'s>(&self, scanner: Option<&'s Scanner>) -> Result<Option<&'s Scanner>> {
         match scanner {
-            _ if self.strays == self.records => Ok(None),
+            _ if self.strays.count == self.records => Ok(None),
             Some(scanner) => Ok(Some(scanner)),
             None => Err(Error::corrupt("a range image without a scanner")),
         }

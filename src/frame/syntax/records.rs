@@ -24,13 +24,13 @@ impl RecordModels {
     /// # Errors
     /// If the section is damaged.
     pub fn code_order<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
-        let returns = frame.records - frame.strays;
+        let returns = frame.in_image();
         if returns == 0 || frame.parameters.positions == PositionFidelity::Formula {
             frame.order.stray_places = (returns as u64..frame.records as u64).collect();
             return Ok(());
         }
         sections.section(SectionKind::Order, true, |coder| {
-            self.order.code(coder, &mut frame.order, returns, frame.strays)
+            self.order.code(coder, &mut frame.order, returns, frame.strays.count)
         })
     }
 

@@ -33,14 +33,14 @@ impl StrayModels {
     /// If the section is damaged.
     pub fn code<S: SectionCoder>(&mut self, sections: &mut S, frame: &mut FrameParts) -> Result<()> {
         let has_points = frame.layout.position.is_some();
-        frame.stray_positions.resize(if has_points { frame.strays } else { 0 }, [0.0; 3]);
+        frame.strays.positions.resize(if has_points { frame.strays.count } else { 0 }, [0.0; 3]);
         let lattice = frame.parameters.positions.lattice();
         let compressors = sections.effort().compressors;
-        sections.section(SectionKind::Strays, !frame.stray_positions.is_empty(), |coder| {
+        sections.section(SectionKind::Strays, !frame.strays.positions.is_empty(), |coder| {
             // The records of a frame without an image are its strays.
-            let channels = if frame.strays == frame.records { frame.channels.as_slice() } else { &[] };
-            let positions = &mut frame.stray_positions;
-            frame.stray_trails =
+            let channels = if frame.strays.count == frame.records { frame.channels.as_slice() } else { &[] };
+            let positions = &mut frame.strays.positions;
+            frame.strays.trails =
                 self.code_strays(coder, (lattice, compressors), frame.records, positions, channels)?;
             Ok(())
         })

@@ -84,15 +84,40 @@ fn middle(records: usize, count: usize) -> Range<usize> {
     start..records.min(start + count)
 }
 
+/// A column to be coded.
+#[derive(Clone, Copy)]
+pub struct Column<'s> {
+    pub sources: &'s Sources<'s>,
+    pub scalar: ScalarType,
+    /// The bytes of its values.
+    pub values: &'s [u8],
+}
+
+impl Column<'_> {
+    /// Bytes of a value.
+    fn width(&self) -> usize {
+        self.scalar.size() as usize
+    }
+
+    fn records(&self) -> usize {
+        self.values.len() / self.width()
+    }
+
+    /// The values as integers of a scale; `None` for those that are not on it.
+    fn integers(&self, scale: Scale) -> Vec<Option<i64>> {
+        scale.grid(self.scalar).integers(self.values)
+    }
+}
+
 impl ColumnModel {
     /// Chooses how to code a column.
-    pub fn choose(&self, sources: &Sources, scalar: ScalarType, values: &[u8]) -> Choice {
-        let size = scalar.size() as usize;
-        let records = values.len() / size;
+    pub fn choose(&self, column: &Column) -> Choice {
+        let &Column { sources, scalar, values } = column;
+        let (size, records) = (column.width(), column.records());
         if is_constant(values, size) {
             return Choice::sure(Plan::Constant, size + 1);
         }
-        let same = (0..4 + sources.channels.len()).find(|&source| is_same(sources, source, scalar, values));
+        let same = (0..4 + sources.channels.len()).find(|&source| is_same(column, source));
         if let Some(source) = same.and_then(|source| u16::try_from(source).ok()) {
             return Choice::sure(Plan::Same(source), 3);
         }
@@ -100,7 +125,7 @@ impl ColumnModel {
         let has_exceptions = scale.grid(scalar).misses_any(values);
         let plain = Integers { scale, has_exceptions, ..Integers::default() };
         let may_have_image = sources.images.check().is_ok();
-        if let Some(plan) = self.same_kind(plain, scalar, values).filter(|_| may_have_image) {
+        if let Some(plan) = self.same_kind(plain, column).filter(|_| may_have_image) {
             return Choice::sure(plan, 1);
         }
         // Times since the start of a scan in single precision are the most accurate there.
@@ -109,12 +134,13 @@ impl ColumnModel {
         let is_from_start = plain.are_singles(scalar) && first < last;
         let sampled = [if is_from_start { 0..records.min(SAMPLE) } else { middle(records, SAMPLE) }];
         let part = sources.part(&sampled);
-        let (part, sampled) = (part.sources(), &gather(values, size, &sampled));
-        if let Some(plan) = self.tried_plan(plain, &part, scalar, sampled) {
+        let sampled = gather(values, size, &sampled);
+        let part = Column { sources: &part.sources(), scalar, values: &sampled };
+        if let Some(plan) = self.tried_plan(plain, &part) {
             return Choice { tried: self.tried, ..Choice::sure(Plan::Integers(plan), 1) };
         }
-        let ruled = match self.best_rule(plain, &part, scalar, sampled) {
-            Some((plan, true)) => match self.settled(plan, sources, scalar, values) {
+        let ruled = match self.best_rule(plain, &part) {
+            Some((plan, true)) => match self.settled(plan, column) {
                 Ok(plan) => return Choice::sure(Plan::Integers(plan), 1),
                 // The sample is misleading, so the plans are compared on all records.
                 Err(plan) => Ruled::OfSome(plan),
@@ -124,11 +150,10 @@ impl ColumnModel {
         };
         let lag = likely_lag(size, values);
         let of_sample = if let Ruled::OfSample(plan) = ruled { Some(plan) } else { None };
-        let (mut best, tried) = self.best_way(Integers { lag, ..plain }, of_sample, &part, scalar, sampled);
-        let tried = Tried { plan: best, bytes: tried as f64 / (sampled.len() / size).max(1) as f64 };
+        let (mut best, tried) = self.best_way(Integers { lag, ..plain }, of_sample, &part);
+        let tried = Tried { plan: best, bytes: tried as f64 / part.records().max(1) as f64 };
         if let Ruled::OfSome(ruled) = ruled {
-            let [of_best, of_ruled] =
-                [best, ruled].map(|plan| self.size_of(&Plan::Integers(plan), sources, scalar, values));
+            let [of_best, of_ruled] = [best, ruled].map(|plan| self.size_of(&Plan::Integers(plan), column));
             best = if of_ruled < of_best { ruled } else { best };
             let tried = Some(tried).filter(|tried| tried.plan == best);
             let bytes = of_best.min(of_ruled);
@@ -136,14 +161,16 @@ impl ColumnModel {
         }
         let sampled = sample(records);
         let sample = gather(values, size, &sampled);
-        let bytes = self.size_of(&Plan::Integers(best), &sources.part(&sampled).sources(), scalar, &sample);
+        let part = sources.part(&sampled);
+        let part = Column { sources: &part.sources(), scalar, values: &sample };
+        let bytes = self.size_of(&Plan::Integers(best), &part);
         let bytes = bytes.saturating_mul(values.len()) / sample.len().max(1);
         let of_neighbours = match may_have_image {
-            true => self.likely_by_neighbours(plain, sources, scalar, values),
+            true => self.likely_by_neighbours(plain, column),
             false => Vec::new(),
         };
         let of_neighbours = of_neighbours.into_iter();
-        let sized = of_neighbours.map(|plan| (self.size_of(&plan, sources, scalar, values), plan));
+        let sized = of_neighbours.map(|plan| (self.size_of(&plan, column), plan));
         if let Some((bytes, plan)) = sized.min_by_key(|(bytes, _)| *bytes).filter(|(least, _)| *least < bytes)
         {
             return Choice { plan, bytes, is_sure: false, tried: None };
@@ -153,24 +180,19 @@ impl ColumnModel {
 
     /// The plans by neighbours that may take the fewest bytes: the better one for a part of the records, or
     /// both if it is a close call.
-    fn likely_by_neighbours(
-        &self,
-        plain: Integers,
-        sources: &Sources,
-        scalar: ScalarType,
-        values: &[u8],
-    ) -> Vec<Plan> {
+    fn likely_by_neighbours(&self, plain: Integers, column: &Column) -> Vec<Plan> {
         /// Sizes of parts are accurate to within one part in this number.
         const UNSURE: usize = 8;
-        let plans = [levels_plan(plain, scalar, values), image_plan(plain, scalar, values)];
+        let plans = [levels_plan(plain, column), image_plan(plain, column)];
         let plans: Vec<Plan> = plans.into_iter().flatten().collect();
         if plans.len() < 2 {
             return plans;
         }
-        let size = scalar.size() as usize;
-        let sampled = [middle(values.len() / size, SAMPLE)];
-        let (part, values) = (sources.part(&sampled), gather(values, size, &sampled));
-        let sizes = plans.iter().map(|plan| self.size_of(plan, &part.sources(), scalar, &values));
+        let sampled = [middle(column.records(), SAMPLE)];
+        let part = column.sources.part(&sampled);
+        let values = gather(column.values, column.width(), &sampled);
+        let part = Column { sources: &part.sources(), values: &values, ..*column };
+        let sizes = plans.iter().map(|plan| self.size_of(plan, &part));
         let sizes: Vec<usize> = sizes.collect();
         let least = sizes.iter().min().copied().unwrap_or(0);
         let close = plans.into_iter().zip(sizes).filter(|(_, size)| *size <= least + least / UNSURE);
@@ -179,51 +201,41 @@ impl ColumnModel {
 
     /// A plan by neighbours, if the column was last coded by one of that kind: they suit the same columns in
     /// all frames.
-    fn same_kind(&self, plain: Integers, scalar: ScalarType, values: &[u8]) -> Option<Plan> {
+    fn same_kind(&self, plain: Integers, column: &Column) -> Option<Plan> {
         match self.last_plan()? {
-            Plan::Levels(_) => levels_plan(plain, scalar, values),
-            Plan::Image(_) => image_plan(plain, scalar, values),
+            Plan::Levels(_) => levels_plan(plain, column),
+            Plan::Image(_) => image_plan(plain, column),
             _ => None,
         }
     }
 
     /// The plan that was the best of all in an earlier frame, if it does as well now: trying all of them
     /// takes many times as long as coding the column.
-    fn tried_plan(
-        &self,
-        plain: Integers,
-        part: &Sources,
-        scalar: ScalarType,
-        values: &[u8],
-    ) -> Option<Integers> {
+    fn tried_plan(&self, plain: Integers, part: &Column) -> Option<Integers> {
         /// Up to this factor, more bytes count as equally good.
         const MORE: f64 = 1.02;
         let Tried { plan, bytes } = self.tried.filter(|tried| tried.plan.scale == plain.scale)?;
         let plan = Integers { has_exceptions: plain.has_exceptions, ..plan };
-        let most = bytes * MORE * (values.len() / scalar.size() as usize) as f64;
-        let taken = self.size_of(&Plan::Integers(plan), part, scalar, values);
+        let most = bytes * MORE * part.records() as f64;
+        let taken = self.size_of(&Plan::Integers(plan), part);
         (taken as f64 <= most).then_some(plan)
     }
 
     /// Checks a plan whose rule uses the columns of an image, or its ticks, on all integers: a few rows show
     /// neither which of the two rules holds nor what holds in rows without returns. Returns the plan with the
     /// rule that more integers follow, as an error if too many follow neither.
-    fn settled(
-        &self,
-        plan: Integers,
-        sources: &Sources,
-        scalar: ScalarType,
-        values: &[u8],
-    ) -> std::result::Result<Integers, Integers> {
+    fn settled(&self, plan: Integers, column: &Column) -> std::result::Result<Integers, Integers> {
         let is_of_image = matches!(plan.rule, Some(Rule::Column | Rule::Tick));
-        if !is_of_image || sources.context.ticks.is_empty() || self.last_plan() == Some(Plan::Integers(plan))
+        if !is_of_image
+            || column.sources.context.ticks.is_empty()
+            || self.last_plan() == Some(Plan::Integers(plan))
         {
             return Ok(plan);
         }
-        let integers = plan.scale.grid(scalar).integers(values);
+        let integers = column.integers(plan.scale);
         let missed = |rule: Rule| {
             let plan = Integers { rule: Some(rule), ..plan };
-            (plan, misses(&plan, sources, scalar, &integers, usize::MAX).unwrap_or(usize::MAX))
+            (plan, misses(&plan, column, &integers, usize::MAX).unwrap_or(usize::MAX))
         };
         let (by_column, by_tick) = (missed(Rule::Column), missed(Rule::Tick));
         let (plan, missed) = if by_tick.1 < by_column.1 { by_tick } else { by_column };
@@ -232,28 +244,23 @@ impl ColumnModel {
 
     /// The rule that most integers of a sample follow, and whether nearly all do; `None` if too few follow
     /// any rule.
-    fn best_rule(
-        &self,
-        plain: Integers,
-        part: &Sources,
-        scalar: ScalarType,
-        values: &[u8],
-    ) -> Option<(Integers, bool)> {
+    fn best_rule(&self, plain: Integers, part: &Column) -> Option<(Integers, bool)> {
         /// At most one in this number of integers breaks a rule that nearly all follow.
         const FEW: usize = 512;
         /// If one in this number of integers or more breaks a rule, it is useless.
         const MANY: usize = 3;
-        let integers = plain.scale.grid(scalar).integers(values);
+        let Sources { context, known, channels, .. } = part.sources;
+        let integers = part.integers(plain.scale);
         let mut best = None;
         let mut least = integers.len() / 2 / MANY;
-        let has_bases = scalar.size() > 2 && !part.context.columns.is_empty();
+        let has_bases = part.width() > 2 && !context.columns.is_empty();
         let few = |plan: &Integers| match plan.rule {
             Some(Rule::Turn(_) | Rule::Column | Rule::Tick) if has_bases => integers.len() / 2 / FEW_BASES,
             _ => integers.len() / 2 / FEW,
         };
         let mut consider = |plan: Integers| {
             let is_better = best.as_ref().is_none_or(|best| least > few(best));
-            if is_better && let Some(misses) = misses(&plan, part, scalar, &integers, least) {
+            if is_better && let Some(misses) = misses(&plan, part, &integers, least) {
                 (least, best) = (misses, Some(plan));
             }
         };
@@ -262,25 +269,25 @@ impl ColumnModel {
         {
             consider(Integers { scale: plain.scale, has_exceptions: plain.has_exceptions, ..plan });
         }
-        let channels = part.known.iter().filter(|&&channel| may_be_key(&part.channels[channel].field));
+        let channels = known.iter().filter(|&&channel| may_be_key(&channels[channel].field));
         let channels = channels.filter_map(|&channel| u16::try_from(channel + 1).ok());
         let keys = || std::iter::once(0).chain(channels.clone());
         for key in keys() {
             let beam = Integers { rule: Some(Rule::Beam), key, ..plain };
             consider(beam);
-            if !part.context.steps.is_empty() {
+            if !context.steps.is_empty() {
                 Geometry::of_places().for_each(|geometry| consider(Integers { geometry, ..beam }));
             }
         }
         for key in keys() {
             let turns = (1..=Rule::MOST_COLUMNS.min(64)).map(Rule::Turn);
-            let rules = turns.take(if part.context.columns.is_empty() { 1 } else { usize::MAX });
-            let by_tick = (!part.context.ticks.is_empty()).then_some(Rule::Tick);
+            let rules = turns.take(if context.columns.is_empty() { 1 } else { usize::MAX });
+            let by_tick = (!context.ticks.is_empty()).then_some(Rule::Tick);
             for rule in [Rule::Column, Rule::After].into_iter().chain(by_tick).chain(rules) {
                 consider(Integers { rule: Some(rule), key, ..plain });
             }
         }
-        if !part.context.positions.is_empty() && scalar.size() >= 2 {
+        if !context.positions.is_empty() && part.width() >= 2 {
             for geometry in Geometry::of_positions() {
                 keys().for_each(|key| consider(Integers { rule: Some(Rule::Beam), key, geometry, ..plain }));
             }
@@ -288,45 +295,39 @@ impl ColumnModel {
         let best = best?;
         let is_sure = least <= few(&best)
             && (least <= integers.len() / 2 / FEW || self.last_plan() == Some(Plan::Integers(best)) || {
-                let size = |plan| self.size_of(&Plan::Integers(plan), part, scalar, values);
+                let size = |plan| self.size_of(&Plan::Integers(plan), part);
                 size(best) <= size(Integers { rule: None, ..best })
             });
         Some((best, is_sure))
     }
 
     /// The plan that takes the fewest bytes for a sample, with this rule or without any, and these bytes.
-    fn best_way(
-        &self,
-        plain: Integers,
-        ruled: Option<Integers>,
-        part: &Sources,
-        scalar: ScalarType,
-        values: &[u8],
-    ) -> (Integers, usize) {
+    fn best_way(&self, plain: Integers, ruled: Option<Integers>, part: &Column) -> (Integers, usize) {
         /// In bytes: if a sample takes no more than this, no better plan is sought.
         const SMALL: usize = 40;
         let mut best = plain;
-        let mut least = self.size_of(&Plan::Integers(best), part, scalar, values);
+        let mut least = self.size_of(&Plan::Integers(best), part);
         let mut improve = |best: &mut Integers, plan: Integers| {
             if least > SMALL {
-                let bytes = self.size_of(&Plan::Integers(plan), part, scalar, values);
+                let bytes = self.size_of(&Plan::Integers(plan), part);
                 if bytes < least {
                     (least, *best) = (bytes, plan);
                 }
             }
         };
-        let keys = part.known.iter().filter(|&&channel| may_be_key(&part.channels[channel].field));
+        let Sources { context, known, channels, .. } = part.sources;
+        let keys = known.iter().filter(|&&channel| may_be_key(&channels[channel].field));
         for key in keys.filter_map(|&channel| u16::try_from(channel + 1).ok()) {
             let plan = Integers { key, ..best };
             improve(&mut best, plan);
         }
-        if scalar.size() >= 2 {
-            let places = Geometry::of_places().filter(|_| !part.context.steps.is_empty());
-            let positions = Geometry::of_positions().filter(|_| !part.context.positions.is_empty());
-            let integers = plain.scale.grid(scalar).integers(values);
+        if part.width() >= 2 {
+            let places = Geometry::of_places().filter(|_| !context.steps.is_empty());
+            let positions = Geometry::of_positions().filter(|_| !context.positions.is_empty());
+            let integers = part.integers(plain.scale);
             for geometry in places.chain(positions) {
                 let plan = Integers { geometry, ..best };
-                if geometry_may_help(&plan, part, scalar, &integers) {
+                if geometry_may_help(&plan, part, &integers) {
                     improve(&mut best, plan);
                 }
             }
@@ -338,7 +339,7 @@ impl ColumnModel {
     }
 
     /// Size of the coded column, in bytes.
-    pub fn size_of(&self, plan: &Plan, sources: &Sources, scalar: ScalarType, values: &[u8]) -> usize {
+    pub fn size_of(&self, plan: &Plan, &Column { sources, scalar, values }: &Column) -> usize {
         let mut encoder = ArithmeticEncoder::default();
         let coded = self.clone().code(&mut encoder, plan, sources, scalar, &mut values.to_vec());
         if coded.is_ok() { encoder.finish().len() } else { usize::MAX }
@@ -346,17 +347,11 @@ impl ColumnModel {
 }
 
 /// The number of integers of the second half that break a plan's rule; `None` if there are `most` or more.
-fn misses(
-    plan: &Integers,
-    sources: &Sources,
-    scalar: ScalarType,
-    integers: &[Option<i64>],
-    most: usize,
-) -> Option<usize> {
-    let places = Places::new(plan, sources, scalar).ok()?;
+fn misses(plan: &Integers, column: &Column, integers: &[Option<i64>], most: usize) -> Option<usize> {
+    let places = Places::new(plan, column.sources, column.scalar).ok()?;
     let rule = plan.rule?;
     let mut state = RuleState::default();
-    state.prepare(rule, plan.are_singles(scalar));
+    state.prepare(rule, plan.are_singles(column.scalar));
     // The loop over the records is compiled for each kind of rule.
     match rule {
         Rule::Beam => count_misses(state, Rule::Beam, &places, integers, most),
@@ -391,15 +386,10 @@ fn count_misses(
 
 /// Whether the geometry of a plan predicts enough integers better than those before them do: coding a sample
 /// to find out takes much longer.
-fn geometry_may_help(
-    plan: &Integers,
-    sources: &Sources,
-    scalar: ScalarType,
-    integers: &[Option<i64>],
-) -> bool {
+fn geometry_may_help(plan: &Integers, column: &Column, integers: &[Option<i64>]) -> bool {
     /// Better predictions must save at least one in this number of the bits of all differences.
     const ENOUGH: u32 = 16;
-    let Ok(places) = Places::new(plan, sources, scalar) else { return false };
+    let Ok(places) = Places::new(plan, column.sources, column.scalar) else { return false };
     let bits = |value: i64, from: i64| u64::BITS - value.wrapping_sub(from).unsigned_abs().leading_zeros();
     let (mut all, mut saved, mut last) = (0, 0, 0);
     // By hash of the key: the last integer, and its difference from the geometry.
@@ -454,32 +444,24 @@ fn likely_lag(size: usize, values: &[u8]) -> u32 {
 }
 
 /// Whether all values equal those of a source.
-fn is_same(sources: &Sources, source: usize, scalar: ScalarType, values: &[u8]) -> bool {
-    let size = scalar.size() as usize;
-    sources
-        .values(source)
-        .filter(|from| from.len() == values.len() / size)
-        .is_some_and(|from| from.all_as(scalar, |record, again| *again == values[record * size..][..size]))
+fn is_same(column: &Column, source: usize) -> bool {
+    let (size, values) = (column.width(), column.values);
+    let from = column.sources.values(source).filter(|from| from.len() == column.records());
+    from.is_some_and(|from| {
+        from.all_as(column.scalar, |record, again| *again == values[record * size..][..size])
+    })
 }
 
 /// The plan to code values as levels, if they are few.
-fn levels_plan(
-    Integers { scale, has_exceptions, .. }: Integers,
-    scalar: ScalarType,
-    values: &[u8],
-) -> Option<Plan> {
-    Palette::of(integers(scale, scalar, values))?;
+fn levels_plan(Integers { scale, has_exceptions, .. }: Integers, column: &Column) -> Option<Plan> {
+    Palette::of(integers_on(scale, column))?;
     Some(Plan::Levels(Levels { scale, has_exceptions }))
 }
 
 /// The plan to code values as integers of an image, if they are not too large.
-fn image_plan(
-    Integers { scale, has_exceptions, .. }: Integers,
-    scalar: ScalarType,
-    values: &[u8],
-) -> Option<Plan> {
+fn image_plan(Integers { scale, has_exceptions, .. }: Integers, column: &Column) -> Option<Plan> {
     let (mut divisor, mut most) = (0, 0);
-    for integer in integers(scale, scalar, values) {
+    for integer in integers_on(scale, column) {
         if !(0..LIMIT * i64::from(u16::MAX)).contains(&integer) {
             return None;
         }
@@ -494,9 +476,9 @@ fn image_plan(
 }
 
 /// The integers of those values that are on a scale.
-fn integers(scale: Scale, scalar: ScalarType, values: &[u8]) -> impl Iterator<Item = i64> {
-    let grid = scale.grid(scalar);
-    values.chunks_exact(scalar.size() as usize).filter_map(move |value| grid.integer(value))
+fn integers_on(scale: Scale, column: &Column) -> impl Iterator<Item = i64> {
+    let grid = scale.grid(column.scalar);
+    column.values.chunks_exact(column.width()).filter_map(move |value| grid.integer(value))
 }
 
 /// The greatest common divisor.

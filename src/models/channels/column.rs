@@ -64,7 +64,7 @@ impl ColumnModel {
         | Plan::Levels(Levels { scale, .. })
         | Plan::Image(Image { scale, .. }) = plan
         {
-            if scale != Scale::PLACE && !scalar.is_float() {
+            if scale != Scale::RANK && !scalar.is_float() {
                 return Err(Error::corrupt("channels: a scale of integers"));
             }
             self.last_plan = Some(plan);
@@ -288,16 +288,16 @@ impl OffModel {
         if !self.is_off.code(coder, is_off) {
             return false;
         }
-        let by_place = Scale::PLACE.grid(scalar);
-        let place = if C::ENCODES { by_place.integer(value).unwrap_or(0) } else { 0 };
+        let by_rank = Scale::RANK.grid(scalar);
+        let rank = if C::ENCODES { by_rank.integer(value).unwrap_or(0) } else { 0 };
         // Ranks between -2^62 and 2^62 differ by less than 2^63.
-        let difference = zigzag(place.wrapping_sub(self.last));
+        let difference = zigzag(rank.wrapping_sub(self.last));
         let is_long = coder.code_plain((difference >> 62 > 0).into(), 1) == 1;
         self.last = match is_long {
-            true => coder.code_plain(place as u64, 64) as i64,
+            true => coder.code_plain(rank as u64, 64) as i64,
             false => self.last.wrapping_add(unzigzag(self.differences.code(coder, difference))),
         };
-        by_place.write(self.last, value);
+        by_rank.write(self.last, value);
         true
     }
 }

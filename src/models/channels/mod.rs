@@ -19,6 +19,7 @@ pub use compressed::{Compressed, code_compressed};
 use std::borrow::Cow;
 use std::ops::Range;
 
+use choice::Column;
 use column::{ColumnModel, convert};
 use plan::Plan;
 
@@ -379,7 +380,7 @@ impl ChannelCoder<'_> {
         let (mut size, mut is_sure) = (0usize, !self.columns.is_empty());
         let columns = split(bytes, self.scalar, self.columns.len());
         for (model, values) in self.columns.iter_mut().zip(columns) {
-            let choice = model.choose(sources, self.scalar, &values);
+            let choice = model.choose(&Column { sources, scalar: self.scalar, values: &values });
             size = choice.bytes.saturating_add(size);
             is_sure &= choice.is_sure;
             plans.push(choice.plan);
@@ -462,7 +463,11 @@ impl ChannelCoder<'_> {
     fn size_as_columns(&self, plans: &[Plan], sources: &Sources, bytes: &[u8]) -> usize {
         let columns = split(bytes, self.scalar, plans.len());
         let sizes = self.columns.iter().zip(plans).zip(columns);
-        sizes.map(|((model, plan), values)| model.size_of(plan, sources, self.scalar, &values)).sum()
+        sizes
+            .map(|((model, plan), values)| {
+                model.size_of(plan, &Column { sources, scalar: self.scalar, values: &values })
+            })
+            .sum()
     }
 }
 

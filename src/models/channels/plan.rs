@@ -151,7 +151,7 @@ impl Geometry {
 impl Integers {
     /// Whether integers are the ranks of float32 values.
     pub fn are_singles(&self, scalar: ScalarType) -> bool {
-        self.scale == Scale::PLACE && scalar == ScalarType::F32
+        self.scale == Scale::RANK && scalar == ScalarType::F32
     }
 }
 

@@ -4,7 +4,7 @@
 
 use super::integers::{ENTRIES, IntegersModel, Site, slot};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::ground::float_order::{from_ordered, ordered};
+use crate::ground::float_order::{of_rank, rank};
 
 /// What an integer follows from, relative to what the position or the place implies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -252,8 +252,8 @@ impl RuleModel {
         site: &Site,
         value: i64,
     ) -> i64 {
-        let told = site.geometry.unwrap_or(0);
-        let value = value.wrapping_sub(told);
+        let implied = site.geometry.unwrap_or(0);
+        let value = value.wrapping_sub(implied);
         let expected = self.state.expected(rule, site);
         let is_new = site.column != self.state.last_column;
         let is_doubted = (record as u64) < doubts.first || doubts.new_columns && is_new;
@@ -263,7 +263,7 @@ impl RuleModel {
             if is_right { 0 } else { self.code_miss(coder, site.key, value.wrapping_sub(expected.integer)) };
         let coded = expected.integer.wrapping_add(above);
         self.state.learn(rule, site, &expected, coded);
-        coded.wrapping_add(told)
+        coded.wrapping_add(implied)
     }
 
     /// Codes the difference of an integer from the expected one.
@@ -424,7 +424,7 @@ impl RoundedSums {
         let offset = self.offsets.get(entry).map_or(0.0, |offset| offset.value);
         let sum = (middle(self.base) + offset) as f32;
         // Processors differ in the bits of a NaN that they compute.
-        if sum.is_nan() { 0 } else { ordered(sum) }
+        if sum.is_nan() { 0 } else { rank(sum) }
     }
 
     /// Learns from the rank of a sum.
@@ -486,7 +486,7 @@ impl RoundedOffset {
 
 /// The float32 value of a rank, and half a unit in its last place; `None` if it is not finite.
 fn rounded(rank: i64) -> Option<(f64, f64)> {
-    let sum = from_ordered(rank);
+    let sum = of_rank(rank);
     let above = sum.abs().next_up();
     above.is_finite().then(|| (f64::from(sum), 0.5 * (f64::from(above) - f64::from(sum.abs()))))
 }

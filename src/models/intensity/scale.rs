@@ -99,7 +99,7 @@ fn rough_scale(values: &[f32]) -> Scale {
     let scale = Scale::of(ScalarType::F32, &bytes);
     let rough = RoughGrid(scale.grid(ScalarType::F32));
     let comes_back = |value: &f32| rough.value(rough.integer(*value)).to_bits() == value.to_bits();
-    if values.iter().all(comes_back) { scale } else { Scale::PLACE }
+    if values.iter().all(comes_back) { scale } else { Scale::RANK }
 }
 
 impl IntensityScale {
@@ -123,7 +123,7 @@ impl IntensityScale {
             return IntensityScale { rough: rough_scale(intensity), ..IntensityScale::default() };
         };
         let bits = (32 - highest.leading_zeros()).max(1);
-        IntensityScale { grid, bits, exceptions: misses > 0, rough: Scale::PLACE }
+        IntensityScale { grid, bits, exceptions: misses > 0, rough: Scale::RANK }
     }
 
     /// The grid of whole numbers below `count`.

@@ -3,7 +3,7 @@
 use super::FEATURE_REACH;
 
 /// The prediction errors to the left and above.
-pub struct ErrorTrack {
+pub struct NearbyErrors {
     /// Running mean of the magnitudes along the row.
     mean: f32,
     /// For each column, the running mean of the magnitudes down the rows: up to the row above, and including
@@ -17,11 +17,11 @@ pub struct ErrorTrack {
     has_row_above: bool,
 }
 
-impl ErrorTrack {
+impl NearbyErrors {
     /// Creates the errors for an image of `width` columns.
     pub fn new(width: usize) -> Self {
         let zeros = vec![0.0; width];
-        ErrorTrack {
+        NearbyErrors {
             mean: 0.0,
             above: zeros.clone(),
             current: zeros.clone(),

@@ -1,6 +1,6 @@
 //! A cell to be coded, described by its neighbours. FORMAT.md 8.6, "Neighbours".
 
-use super::errors::ErrorTrack;
+use super::errors::NearbyErrors;
 use super::neighbourhood::Neighbourhood;
 use super::{EDGE, ERROR_LEVELS, ErrorLevels, FEATURES, PREDICTORS, VIEWS, within_reach};
 use crate::models::least_squares::LeastSquares;
@@ -30,7 +30,7 @@ impl Site {
     pub fn of(
         (levels, levels_above): (&[u16], &[u16]),
         near: Neighbourhood,
-        errors: &ErrorTrack,
+        errors: &NearbyErrors,
         error_levels: &ErrorLevels,
         column: usize,
     ) -> Site {

@@ -287,7 +287,7 @@ impl Constants<'_> {
     fn worth(&self, bare: &Firings, lasers: &[Laser]) -> usize {
         let of_row = |(laser, points): (&Laser, &Vec<Point>)| {
             let round = [laser.elevation, laser.azimuth].map(|angle| usize::from(is_thousandth(angle)));
-            exact_points(bare, *laser, points, 0..3, 0) * (100 + round[0] + round[1])
+            reproduced_points(bare, *laser, points, 0..3, 0) * (100 + round[0] + round[1])
         };
         lasers.iter().zip(&self.more_of_rows).map(of_row).sum()
     }
@@ -353,7 +353,7 @@ impl Constants<'_> {
         // Constants of few digits that reproduce most points are right: other points have another cause.
         if is_thousandth(laser.elevation) && is_thousandth(laser.azimuth) {
             let least = points.len() * 97 / 100;
-            if exact_points(bare, laser, points, 0..3, least) >= least {
+            if reproduced_points(bare, laser, points, 0..3, least) >= least {
                 return laser;
             }
         }
@@ -362,10 +362,10 @@ impl Constants<'_> {
             let step = bare.build.recipe.angle_step(laser.elevation_degrees()) / ANGLE_UNIT;
             let steps = (1..=SAME as i32).flat_map(|steps| [steps, -steps]);
             let others = steps.map(|steps| laser.elevation + (f64::from(steps) * step).round() as i64);
-            let high = exact_points(bare, laser, points, 2..3, 0);
+            let high = reproduced_points(bare, laser, points, 2..3, 0);
             for elevation in others {
                 let other = Laser { elevation, ..laser };
-                if exact_points(bare, other, points, 2..3, high) >= high {
+                if reproduced_points(bare, other, points, 2..3, high) >= high {
                     let polished = polished(bare, (other, best.1), points);
                     best = if polished.1 > best.1 { polished } else { best };
                 }
@@ -473,8 +473,9 @@ impl Constants<'_> {
         let elevation = (elevation.to_degrees() / ANGLE_UNIT).round() as i64;
         // The height determines the elevation, except among elevations of the same sine.
         let azimuth = 0;
-        let of_elevation =
-            |elevation: i64, least| exact_points(bare, Laser { elevation, azimuth }, points, 2..3, least);
+        let of_elevation = |elevation: i64, least| {
+            reproduced_points(bare, Laser { elevation, azimuth }, points, 2..3, least)
+        };
         angles(bare.build.recipe, elevation, (points.len(), least), 0.0, of_elevation)
     }
 
@@ -503,7 +504,7 @@ impl Constants<'_> {
         let mut best = (Laser { elevation, azimuth }, 0);
         for &elevation in elevations.iter().take(SAME) {
             let of_azimuth = |azimuth: i64, least| {
-                exact_points(bare, Laser { elevation, azimuth }, points, axes.clone(), least)
+                reproduced_points(bare, Laser { elevation, azimuth }, points, axes.clone(), least)
             };
             // Only more points than the best so far count.
             let wanted = (points.len(), least.max(best.1 + 1));
@@ -577,8 +578,9 @@ impl Tried<'_> {
         let exact: usize = self.found.iter().map(|(_, exact)| exact).sum();
         let points: usize = self.rows.iter().map(|&row| of_rows[row].len()).sum();
         let lasers = self.rows.iter().zip(&self.found);
-        let heights: usize =
-            lasers.map(|(&row, (laser, _))| exact_points(self.bare, *laser, &of_rows[row], 2..3, 0)).sum();
+        let heights: usize = lasers
+            .map(|(&row, (laser, _))| reproduced_points(self.bare, *laser, &of_rows[row], 2..3, 0))
+            .sum();
         if 2 * heights < points || heights < least {
             return (0, exact);
         }
@@ -663,7 +665,7 @@ impl Tried<'_> {
             let azimuth =
                 if are_thousandths { roundings(degrees)[0] } else { (degrees / ANGLE_UNIT).round() as i64 };
             let least = points.len().saturating_sub(left);
-            let exact = exact_points(self.bare, Laser { azimuth, ..*laser }, points, 0..3, least);
+            let exact = reproduced_points(self.bare, Laser { azimuth, ..*laser }, points, 0..3, least);
             left = left.checked_sub(points.len() - exact)?;
         }
         Some(least + left)
@@ -721,7 +723,7 @@ fn sharpest(bare: &Firings, (laser, exact): (Laser, usize), points: &[Point], ne
     let azimuths =
         std::iter::once(0).chain(steps).map(|steps| laser.azimuth + (f64::from(steps) * step) as i64);
     let (best, _) = best_of(bare, azimuths.map(|azimuth| Laser { azimuth, ..laser }), near_axes, (laser, 0));
-    if exact_points(bare, best, points, 0..3, exact) >= exact { best } else { laser }
+    if reproduced_points(bare, best, points, 0..3, exact) >= exact { best } else { laser }
 }
 
 /// The laser that reproduces the most points to the last bit, the first one on ties, and how many; `best` if
@@ -733,7 +735,7 @@ pub(super) fn best_of(
     best: (Laser, usize),
 ) -> (Laser, usize) {
     lasers.fold(best, |best, laser| {
-        let exact = exact_points(bare, laser, points, 0..3, best.1 + 1);
+        let exact = reproduced_points(bare, laser, points, 0..3, best.1 + 1);
         if exact > best.1 { (laser, exact) } else { best }
     })
 }
@@ -745,7 +747,7 @@ const SAME: usize = 12;
 
 /// Number of points of a laser that are reproduced to the last bit along these axes; 0 as soon as there are
 /// certainly fewer than `least`.
-pub(super) fn exact_points(
+pub(super) fn reproduced_points(
     bare: &Firings,
     laser: Laser,
     points: &[Point],

@@ -16,7 +16,7 @@ use super::{Build, Firings, Origin, Recipe, Timing};
 use crate::ground::angle::shorter_way;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{PointCloud, ScanFile, fullest};
-use crate::scanner::{CoordinateGrid, REACH};
+use crate::scanner::{CoordinateGrid, PLAUSIBLE_LASERS, REACH};
 
 /// Range steps of known scanners, in micrometres, coarse ones first: multiples of a step are also multiples
 /// of its divisors.
@@ -44,9 +44,9 @@ const SAMPLE: usize = 4000;
 const FOCAL_POINTS_UM: [i32; 4] = [41_910, 42_400, 58_630, 28_956];
 
 /// Fits a scanner to a sample of a sequence's scans: to the one with the most returns and, as long as that
-/// helps, to another that the scanner explains less well, which may show other lasers. Returns also the share
-/// of the points that it explains; `None` if no scanner of this family explains enough of them.
-pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
+/// helps, to another that the scanner explains less well, which may show other lasers. `None` if no
+/// scanner of this family explains enough of the points.
+pub fn fit(sample: &[ScanFile]) -> Option<Firings> {
     fit_by(sample, |cloud| {
         let points = cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None));
         fit_points(cloud, points)
@@ -56,29 +56,28 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
 /// As [`fit`], given the fit to one scan.
 pub(super) fn fit_by(
     sample: &[ScanFile],
-    fit_scan: impl Fn(&PointCloud) -> Option<(Firings, f64)>,
-) -> Option<(Firings, f64)> {
+    fit_scan: impl Fn(&PointCloud) -> Option<Firings>,
+) -> Option<Firings> {
     /// A share of the points that is worth another fit, and the largest number of these.
     const WORTH: f64 = 0.005;
     const MOST: usize = 2;
     let mut seen = Cow::Borrowed(&fullest(sample)?.cloud);
-    let mut found = fit_scan(&seen)?;
+    let mut best = fit_scan(&seen)?;
     for _ in 0..MOST {
-        let explained = |cloud: &PointCloud| found.0.explained_share(&cloud.positions);
+        let explained = |cloud: &PointCloud| best.explained_share(&cloud.positions);
         let less = LEAST_SHARE..explained(&seen) - WORTH;
         let shares = sample.iter().map(|scan| (explained(&scan.cloud), &scan.cloud));
         let worst = shares.filter(|(share, _)| less.contains(share)).min_by(|a, b| a.0.total_cmp(&b.0));
-        let more = worst.and_then(|(_, other)| joined(&seen, other, found.0.rows_of_lines.len()));
+        let more = worst.and_then(|(_, other)| joined(&seen, other, best.rows_of_lines.len()));
         let Some(more) = more else { break };
-        let worth = |(scanner, _): &(Firings, f64)| {
-            scanner.reproduced(&more.positions).0 + scanner.explained(&more.positions)
-        };
-        match fit_scan(&more).filter(|of_more| worth(of_more) > worth(&found)) {
-            Some(of_more) => (found, seen) = (of_more, Cow::Owned(more)),
+        let worth =
+            |scanner: &Firings| scanner.reproduced(&more.positions).0 + scanner.explained(&more.positions);
+        match fit_scan(&more).filter(|of_more| worth(of_more) > worth(&best)) {
+            Some(of_more) => (best, seen) = (of_more, Cow::Owned(more)),
             None => break,
         }
     }
-    Some(found)
+    Some(best)
 }
 
 /// Two scans as one, as though the scanner had turned on. If files are in the order of `lines`, so is this
@@ -102,7 +101,7 @@ fn joined(one: &PointCloud, other: &PointCloud, lines: usize) -> Option<PointClo
 }
 
 /// Fits a scanner to one scan whose points were moved; `moved` has all of them.
-pub fn fit_moved(cloud: &PointCloud, moved: &[Moved]) -> Option<(Firings, f64)> {
+pub fn fit_moved(cloud: &PointCloud, moved: &[Moved]) -> Option<Firings> {
     let positions = moved.iter().map(|point| point.measured.map(|metres| metres as f32)).collect();
     let measured = PointCloud { positions, ..cloud.clone() };
     let points = moved.iter().map(|point| Point::new(point.measured, Some(point)));
@@ -110,10 +109,7 @@ pub fn fit_moved(cloud: &PointCloud, moved: &[Moved]) -> Option<(Firings, f64)> 
 }
 
 /// The same, given a point for each record of the scan, or `None` for records without a direction.
-fn fit_points<'m>(
-    cloud: &'m PointCloud,
-    points: impl Iterator<Item = Option<Point<'m>>>,
-) -> Option<(Firings, f64)> {
+fn fit_points<'m>(cloud: &'m PointCloud, points: impl Iterator<Item = Option<Point<'m>>>) -> Option<Firings> {
     let (numbers, points): (Vec<usize>, Vec<Point>) =
         points.enumerate().filter_map(|(record, point)| Some((record, point?))).unzip();
     let measured = points.len();
@@ -127,27 +123,25 @@ fn fit_points<'m>(
     let mut best: Option<Candidate> = None;
     for nearest in blur.nearest(&points) {
         let (numbers, points) = beyond(nearest, &numbers, &points);
-        let found = ScanFacts { cloud, numbers, points, measured, coordinates, blur, nearest };
-        let has_nearly_all = found.points.len() as f64 > NEARLY_ALL * measured as f64;
-        let next = found.best();
+        let facts = ScanFacts { cloud, numbers, points, measured, coordinates, blur, nearest };
+        let has_nearly_all = facts.points.len() as f64 > NEARLY_ALL * measured as f64;
+        let next = facts.best();
         best = next.into_iter().chain(best).reduce(|a, b| if b.worth > a.worth { b } else { a });
         if has_nearly_all || best.as_ref().is_some_and(|best| best.share > NEARLY_ALL) {
             break;
         }
     }
-    let Candidate { scanner, share, .. } = best.filter(|best| best.share >= LEAST_SHARE)?;
+    let Candidate { scanner, .. } = best.filter(|best| best.share >= LEAST_SHARE)?;
     // Decimal digits do not help a recipe that is wrong.
     let is_digits = matches!(coordinates, CoordinateGrid::Digits(_));
-    let scanner = match is_digits.then(|| scanner.reproduced(&cloud.positions)) {
+    match is_digits.then(|| scanner.reproduced(&cloud.positions)) {
         Some((reproduced, all)) if 2 * reproduced <= all => {
             let build = Build { coordinates: CoordinateGrid::Float32, ..scanner.build };
-            Firings::new(build, scanner.lasers, scanner.rows_of_slots)
-                .line_by_line(scanner.rows_of_lines)
-                .lagging(scanner.lags)
+            let unrounded = Firings::new(build, scanner.lasers, scanner.rows_of_slots);
+            Some(unrounded.line_by_line(scanner.rows_of_lines).lagging(scanner.lags))
         }
-        _ => scanner,
-    };
-    Some((scanner, share))
+        _ => Some(scanner),
+    }
 }
 
 /// The points whose ranges are at least `nearest`, in metres, with their record numbers.
@@ -475,8 +469,6 @@ pub(super) const ON_CONE: f64 = 1e-4;
 /// `None` if fewer than half of the points lie in clusters, or the number of clusters is not that of a
 /// scanner.
 pub(super) fn elevations(points: &[Point], on_cone: f64) -> Option<Vec<f64>> {
-    const FEWEST_LASERS: usize = 4;
-    const MOST_LASERS: usize = 512;
     /// In metres: the elevations of nearer points are blurred. The second limit is for precise coordinates.
     const NEAREST: [f64; 2] = [0.3, 0.05];
     let [far, near] = NEAREST;
@@ -488,8 +480,7 @@ pub(super) fn elevations(points: &[Point], on_cone: f64) -> Option<Vec<f64>> {
     let far = heaps(all.iter().filter(|(_, is_far)| *is_far).map(|(elevation, _)| *elevation).collect());
     let near = heaps(all.into_iter().map(|(elevation, _)| elevation).collect());
     let ((inside, found), all) = if near.0.0 > far.0.0 { near } else { far };
-    let is_scanner =
-        (FEWEST_LASERS..=MOST_LASERS).contains(&found.len()) && inside as f64 >= LEAST_SHARE * all as f64;
+    let is_scanner = PLAUSIBLE_LASERS.contains(&found.len()) && inside as f64 >= LEAST_SHARE * all as f64;
     is_scanner.then_some(found)
 }
 

@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::blur::Blur;
-use super::constants::{Point, TRIED, best_of, exact_points};
+use super::constants::{Point, TRIED, best_of, reproduced_points};
 use super::fit::{ON_CONE, ScanFacts, elevations, fewest_of, narrow_heaps, phase, range_step, strength};
 use super::order::{FiringOrder, lines, order};
 use super::projection::{Place, nearest};
@@ -14,7 +14,7 @@ use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
 use crate::ground::angle;
 use crate::ground::rounding::round_ties_even;
 use crate::scan::{Channel, PointCloud};
-use crate::scanner::{CoordinateGrid, REACH, Return, median, thinned};
+use crate::scanner::{CoordinateGrid, PLAUSIBLE_LASERS, REACH, Return, median, thinned};
 
 /// A manufacturer's scanner whose beams start away from the axis.
 struct Maker {
@@ -195,7 +195,6 @@ impl ScanFacts<'_> {
 
     /// The points of each laser, if a channel identifies the lasers.
     pub(super) fn rows_by_channel(&self) -> Option<Vec<Vec<Point<'_>>>> {
-        const LASERS: std::ops::RangeInclusive<usize> = 4..=512;
         /// In radians: points of a laser are nearer than this to their median elevation.
         const SPREAD: f64 = 0.06;
         let of = |channel: &Channel| {
@@ -210,7 +209,7 @@ impl ScanFacts<'_> {
                 .collect();
             keyed.sort_unstable();
             let groups = keyed.chunk_by(|a, b| a.0 == b.0);
-            if !LASERS.contains(&groups.clone().take(LASERS.end() + 1).count()) {
+            if !PLAUSIBLE_LASERS.contains(&groups.clone().take(PLAUSIBLE_LASERS.end() + 1).count()) {
                 return None;
             }
             let rows: Vec<Vec<Point>> =
@@ -496,7 +495,7 @@ fn sharpened(bare: &Firings, lasers: &[Laser], points: &[Point]) -> Option<Laser
     };
     let mut best = (0, *lasers.first()?);
     for laser in lasers.iter().flat_map(|laser| (-1..=1).map(move |off| moved(laser, off, 0))) {
-        let exact = exact_points(bare, laser, &few, 0..3, best.0 + 1);
+        let exact = reproduced_points(bare, laser, &few, 0..3, best.0 + 1);
         if exact > best.0 {
             best = (exact, laser);
         }

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use rayon::prelude::*;
 
-use super::constants::{Point, TRIED, best_of, exact_points};
+use super::constants::{Point, TRIED, best_of, reproduced_points};
 use super::fit::{GridShape, ON_CONE, RecordGrid, ScanFacts, fewest_of, narrow_heaps, phase};
 use super::off_axis::{beam_line, line};
 use super::order::{lines, order};
@@ -364,7 +364,9 @@ fn sharpened_origin(build: &Build, rows: &[Vec<Point>], lines: &[Option<[f64; 2]
     let counted = origins.map(|origin| {
         let bare = Firings::without_lasers(Build { origin, ..build.clone() });
         (
-            few.iter().map(|(laser, points)| exact_points(&bare, *laser, points, 2..3, 0)).sum::<usize>(),
+            few.iter()
+                .map(|(laser, points)| reproduced_points(&bare, *laser, points, 2..3, 0))
+                .sum::<usize>(),
             origin,
         )
     });
@@ -419,7 +421,7 @@ fn ouster_laser(bare: &Firings, slope: f64, points: &[Point]) -> (Laser, usize) 
         (0..ROUNDS).for_each(|_| offset += missed(offset));
         let azimuth = round_ties_even(offset * 1e3) as i64 * thousandth;
         let laser = Laser { elevation, azimuth };
-        (exact_points(bare, laser, &few, 0..3, 0), laser)
+        (reproduced_points(bare, laser, &few, 0..3, 0), laser)
     });
     let mut candidates: Vec<(usize, Laser)> = candidates.collect();
     candidates.sort_by_key(|(exact, laser)| (std::cmp::Reverse(*exact), laser.azimuth.abs()));

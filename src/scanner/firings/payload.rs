@@ -12,7 +12,7 @@ use crate::scanner::{CoordinateGrid, MOST_RANGE_STEP_UM, MOST_TICKS};
 /// Constants are at most one turn, in 1e-9 degrees.
 const LARGEST_ANGLE: u64 = 360_000_000_000;
 /// More lasers than any scanner has.
-const MOST_LASERS: u64 = 1024;
+const MOST_ROWS: u64 = 1024;
 /// Beams of all scanners start nearer to the origin.
 const MOST_ORIGIN_UM: u64 = 1_000_000;
 /// The numbers of a mounting are smaller: metres, and cosines.
@@ -62,7 +62,7 @@ impl Firings {
     /// If it is truncated or holds values that no scanner has.
     pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
         let recipe = read_within(bytes, "scanner: recipe", 0..=u64::from(u32::MAX))? as u32;
-        let recipe = Recipe::of_number(recipe)
+        let recipe = Recipe::from_number(recipe)
             .ok_or_else(|| Error::unsupported(format!("scanner: unknown recipe {recipe}")))?;
         let ticks = read_within(bytes, "scanner: ticks a turn", 1..=MOST_TICKS)? as u32;
         let range_step_um =
@@ -76,7 +76,7 @@ impl Firings {
             _ => Err(Error::corrupt("scanner: beams start too far away")),
         };
         let origin = Origin { along_um: metre()?, up_um: metre()? };
-        let rows = read_within(bytes, "scanner: lasers", 1..=MOST_LASERS)? as u32;
+        let rows = read_within(bytes, "scanner: lasers", 1..=MOST_ROWS)? as u32;
         let mut angle = || match read_signed(bytes, "scanner")? {
             angle if angle.unsigned_abs() <= LARGEST_ANGLE => Ok(angle),
             _ => Err(Error::corrupt("scanner: an angle is out of range")),
@@ -123,7 +123,7 @@ fn read_mounting(bytes: &mut &[u8]) -> Result<Option<Mounting>> {
     if order == 0 {
         return Ok(None);
     }
-    let order = TransformOrder::of_number(order)
+    let order = TransformOrder::from_number(order)
         .ok_or_else(|| Error::unsupported(format!("scanner: unknown order of a mounting {order}")))?;
     let mut rows = [[0.0; 4]; 3];
     for number in rows.as_flattened_mut() {

@@ -66,7 +66,7 @@ impl<'f> Sight<'f> {
     pub fn nearest(&self, metres: [f64; 3]) -> Option<(Return, [f64; 3])> {
         let measured = self.scanner.in_frame(metres);
         let ([row], located) = self.find(&measured.map(|value| [value]));
-        let found = located.found(row, 0)?;
+        let found = located.return_at(row, 0)?;
         Some((found, self.scanner.position(&found, 0.0)))
     }
 
@@ -96,7 +96,7 @@ impl<'f> Sight<'f> {
 impl<const N: usize> Measurements<N> {
     /// The return of one of the points, if there is such a range; not yet in a column.
     #[inline(always)]
-    fn found(&self, row: usize, point: usize) -> Option<Return> {
+    fn return_at(&self, row: usize, point: usize) -> Option<Return> {
         let (steps, tick) = (self.steps[point], self.tick[point]);
         let is_one = steps >= 1.0 && steps < f64::from(LONGEST);
         is_one.then_some(Return { row: row as u32, tick, steps: steps as u32, column: 0, echo: 0 })
@@ -135,7 +135,7 @@ impl<const IS_MOUNTED: bool> NullaryFnOnce for Search<'_, IS_MOUNTED> {
             let (rows, located) = sight.find(&metres);
             let near = scanner.near_all(&rows, &metres, &located);
             for i in 0..points.len() {
-                let Some(found) = located.found(rows[i], i) else { continue };
+                let Some(found) = located.return_at(rows[i], i) else { continue };
                 // Every float32 is on its grid; on other grids, the formula gives the sign of a zero.
                 let (formula, metres) = match grid {
                     CoordinateGrid::Float32 => {
@@ -282,7 +282,7 @@ impl Firings {
     }
 
     /// The share of the points that the recipe explains, in a sample of those that have a direction.
-    pub(super) fn explained_share(&self, positions: &[[f32; 3]]) -> f64 {
+    pub fn explained_share(&self, positions: &[[f32; 3]]) -> f64 {
         const SAMPLE: usize = 4000;
         let points: Vec<[f32; 3]> = positions.iter().filter(|point| has_direction(point)).copied().collect();
         let sample: Vec<[f32; 3]> = thinned(&points, SAMPLE).copied().collect();

@@ -109,7 +109,7 @@ impl Recipe {
     ];
 
     /// The recipe of this number in the stream.
-    pub fn of_number(number: u32) -> Option<Self> {
+    pub fn from_number(number: u32) -> Option<Self> {
         Self::ALL.into_iter().find(|recipe| *recipe as u32 == number)
     }
 

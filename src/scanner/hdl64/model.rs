@@ -35,7 +35,10 @@ const LENGTH_UNIT: f64 = 1.0 / (1u64 << 24) as f64;
 const LARGEST_CONSTANT: u64 = 1 << 34;
 /// A bound above the number of beams of any scanner.
 const MOST_BEAMS: u64 = 1024;
-/// The code of float32 coordinates computed in single precision; it follows the codes of the grids.
+/// The codes of the arithmetic: whole millimetres, and float32 coordinates computed in double and in single
+/// precision.
+const MILLIMETRE: u64 = 0;
+const FLOAT32: u64 = 1;
 const SINGLE_PRECISION: u64 = 2;
 
 /// The constants of one beam, quantised as in the stream.
@@ -484,9 +487,12 @@ impl Hdl64 {
 
     /// Writes the payload of the scanner's record in the stream.
     pub fn write_to(&self, out: &mut Vec<u8>) {
-        let coordinates =
-            if self.is_single_precision() { SINGLE_PRECISION } else { self.coordinates.to_code() };
-        write_unsigned(out, coordinates);
+        let arithmetic = match self.coordinates {
+            _ if self.is_single_precision() => SINGLE_PRECISION,
+            CoordinateGrid::Millimetre => MILLIMETRE,
+            _ => FLOAT32,
+        };
+        write_unsigned(out, arithmetic);
         write_unsigned(out, u64::from(self.ticks));
         write_unsigned(out, u64::from(self.range_step_um));
         write_unsigned(out, self.constants.len() as u64);
@@ -502,7 +508,8 @@ impl Hdl64 {
     /// If the record is cut short or holds values that no scanner has.
     pub fn read_from(bytes: &mut &[u8]) -> Result<Self> {
         let (coordinates, is_single_precision) = match read_unsigned(bytes, "scanner model")? {
-            code @ 0..2 => (CoordinateGrid::from_code(code), false),
+            MILLIMETRE => (CoordinateGrid::Millimetre, false),
+            FLOAT32 => (CoordinateGrid::Float32, false),
             SINGLE_PRECISION => (CoordinateGrid::Float32, true),
             other => return Err(Error::corrupt(format!("scanner model: unknown coordinate grid {other}"))),
         };

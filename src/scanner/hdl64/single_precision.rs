@@ -10,7 +10,7 @@ use std::ops::{Add, Sub};
 use super::formula::small_atan;
 use super::sine::sine_and_cosine;
 use crate::ground::error::{Error, Result};
-use crate::ground::float_order::{from_ordered, ordered};
+use crate::ground::float_order::{of_rank, rank};
 use crate::ground::lanes::lanes;
 use crate::ground::varint::{read_signed, write_signed};
 
@@ -46,8 +46,8 @@ impl Refinement {
         let units = |rough: f64, sharp: f64| ((sharp - rough) / UNIT).round() as i64;
         let turned = sharp.first_tick as f64 * sharp.tick_degrees;
         Refinement {
-            sine: ordered(sharp.sine) - ordered(rough.sine),
-            cosine: ordered(sharp.cosine) - ordered(rough.cosine),
+            sine: rank(sharp.sine) - rank(rough.sine),
+            cosine: rank(sharp.cosine) - rank(rough.cosine),
             range_offset: units(rough.range_offset, sharp.range_offset),
             height: units(rough.height, sharp.height),
             side_offset: units(rough.side_offset, sharp.side_offset),
@@ -133,8 +133,8 @@ impl SingleBeam {
     pub fn refined(self, by: &Refinement) -> Self {
         let turned = by.first_tick as f64 * self.tick_degrees;
         SingleBeam {
-            sine: from_ordered(ordered(self.sine) + by.sine),
-            cosine: from_ordered(ordered(self.cosine) + by.cosine),
+            sine: of_rank(rank(self.sine) + by.sine),
+            cosine: of_rank(rank(self.cosine) + by.cosine),
             range_offset: self.range_offset + by.range_offset as f64 * UNIT,
             height: self.height + by.height as f64 * UNIT,
             side_offset: self.side_offset + by.side_offset as f64 * UNIT,

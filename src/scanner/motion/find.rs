@@ -29,7 +29,7 @@ pub fn undo(positions: &[[f32; 3]]) -> Option<(Vec<[f32; 3]>, Turn)> {
     let mut motion = Motion::default();
     // Cones are fitted as if there were no rotation about z, until that rotation is known.
     for _ in 0..2 {
-        motion = yaw.found(cones.improved(motion, many::undone)?)?;
+        motion = yaw.with_yaw(cones.improved(motion, many::undone)?)?;
     }
     let motion = grid::polished(motion, &all)?;
     let points = many::measured(&Mover::new(&motion), positions);

@@ -60,7 +60,7 @@ impl Yaw {
     }
 
     /// Adds the rotation about z to a motion. `None` if no rotation brings the points onto the grid.
-    pub fn found(&mut self, motion: Motion) -> Option<Motion> {
+    pub fn with_yaw(&mut self, motion: Motion) -> Option<Motion> {
         let mut motion = search_yaw(motion, &mut self.first, self.reach)?;
         for near in &mut self.farther {
             for _ in 0..2 {

@@ -16,7 +16,8 @@ use super::numbers::{COARSE, FEW, Pair, last_bits, least_squares, missed, unit_a
 use super::pose::{self, Pose};
 use super::{Mounting, TransformOrder};
 use crate::ground::rounding::round_ties_even;
-use crate::scan::{PointCloud, ScanFile, channel_of_lasers, fullest};
+use crate::scan::{PointCloud, ScanFile, fullest};
+use crate::scanner::channel_of_lasers;
 use crate::scanner::firings::arithmetic::whole_steps;
 use crate::scanner::firings::blur::Blur;
 use crate::scanner::firings::constants::{Moved, MovedBy, Point, TRIED, by_rows};
@@ -35,9 +36,8 @@ const SAMPLE: usize = 8000;
 /// A direction that misses no more than this part of what others miss is no chance.
 const WORTH: f64 = 0.93;
 
-/// A scanner with its mounting, and the share of the points that it explains. `None` if the largest scan of
-/// the sample does not show a scanner.
-pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
+/// A scanner with its mounting. `None` if the largest scan of the sample does not show a scanner.
+pub fn fit(sample: &[ScanFile]) -> Option<Firings> {
     let scan = fullest(sample)?;
     let positions = &scan.cloud.positions;
     let nothing = of_nothing(positions);
@@ -68,14 +68,14 @@ pub fn fit(sample: &[ScanFile]) -> Option<(Firings, f64)> {
             by: MovedBy::Mounting(mounting),
             position: *position,
         });
-        let (fitted, share) = fit_moved(cloud, &moved.collect::<Vec<_>>())?;
+        let fitted = fit_moved(cloud, &moved.collect::<Vec<_>>())?;
         let values: Vec<f32> = thinned(positions, SAMPLE).flatten().copied().collect();
         let build = Build { coordinates: CoordinateGrid::finest_of(&values), ..fitted.build.clone() };
         let fitted = Firings { build, ..fitted }.mounted(mounting);
         let reproduced = |scanner: &Firings| scanner.reproduced(positions).0;
         let with_lasers = fitted.with_lasers_of(&mounted);
         let better = with_lasers.filter(|with_lasers| reproduced(with_lasers) > reproduced(&fitted));
-        Some((better.unwrap_or(fitted), share))
+        Some(better.unwrap_or(fitted))
     })
 }
 
@@ -309,7 +309,7 @@ impl Seen {
             by: MovedBy::Mounting(start),
             position: *position,
         });
-        let (found, _) = fit_moved(cloud, &moved.collect::<Vec<_>>())?;
+        let found = fit_moved(cloud, &moved.collect::<Vec<_>>())?;
         let sight = Sight::new(&found);
         let measurement = |position: &[f32; 3]| {
             let there = undone(&start, position);

@@ -53,7 +53,7 @@ impl TransformOrder {
     ];
 
     /// The order of this number in the stream.
-    pub fn of_number(number: u64) -> Option<Self> {
+    pub fn from_number(number: u64) -> Option<Self> {
         Self::ALL.into_iter().find(|order| *order as u64 == number)
     }
 

@@ -5,7 +5,8 @@
 use std::f64::consts::TAU;
 
 use super::find::Point;
-use crate::scan::{Channel, channel_of_lasers};
+use crate::scan::Channel;
+use crate::scanner::channel_of_lasers;
 use crate::scanner::motion::cones::Cones;
 use crate::scanner::motion::many::Seen;
 use crate::scanner::motion::{Motion, Mover};

@@ -38,8 +38,8 @@ const PACKET: usize = 12;
 /// After every `PACKETS`-th packet the next firing is not late.
 const PACKETS: usize = 25;
 /// Metres and radians per unit of poses.
-const PLACE_UNIT: f64 = 1.0 / (1u64 << 30) as f64;
-const TURN_UNIT: f64 = 1.0 / (1u64 << 36) as f64;
+const POSITION_UNIT: f64 = 1.0 / (1u64 << 30) as f64;
+const ROTATION_UNIT: f64 = 1.0 / (1u64 << 36) as f64;
 /// Microseconds per unit of the knots' times.
 const TIME_UNIT: f64 = 0.25;
 
@@ -51,9 +51,9 @@ const MOST_LATTICE_STEPS: f64 = (1u64 << 40) as f64;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Pose {
     /// Position in 2^-30 m.
-    pub place: [i64; 3],
+    pub position: [i64; 3],
     /// Rotation in 2^-36 radians.
-    pub turn: [i64; 3],
+    pub rotation: [i64; 3],
 }
 
 /// The pose at a time.
@@ -165,7 +165,7 @@ type Metric = [[f64; 3]; 2];
 
 impl Pose {
     fn metric(&self) -> Metric {
-        [self.place.map(|v| v as f64 * PLACE_UNIT), self.turn.map(|v| v as f64 * TURN_UNIT)]
+        [self.position.map(|v| v as f64 * POSITION_UNIT), self.rotation.map(|v| v as f64 * ROTATION_UNIT)]
     }
 }
 

@@ -12,15 +12,15 @@ pub type Six = Vector6<f64>;
 /// The information of a firing on its pose: the sum of squares is `squares - 2 d right + d normal d`, if the
 /// pose differs by d from the current one.
 #[derive(Clone, Copy)]
-pub struct Told {
+pub struct Information {
     pub normal: Matrix6<f64>,
     pub right: Six,
     pub squares: f64,
 }
 
-impl Default for Told {
+impl Default for Information {
     fn default() -> Self {
-        Told { normal: Matrix6::zeros(), right: Six::zeros(), squares: 0.0 }
+        Information { normal: Matrix6::zeros(), right: Six::zeros(), squares: 0.0 }
     }
 }
 
@@ -30,7 +30,7 @@ pub struct PathFirings<'a> {
     /// Times in microseconds.
     pub times: &'a [f64],
     pub poses: &'a [Six],
-    pub told: &'a [Told],
+    pub information: &'a [Information],
 }
 
 /// The path's knots: times in microseconds, and poses.
@@ -149,17 +149,21 @@ impl<'a> PathFirings<'a> {
     pub fn path(&self, knots: &[f64], sag: Option<(&Vector, &Path)>) -> Option<Path> {
         let mut before = sag.map(|(lever, path)| (*lever, path.clone()));
         let rounds = if sag.is_some() { 2 } else { 1 };
-        let ridge = ridge(&self.told.iter().map(|told| told.normal).sum());
+        let ridge = ridge(&self.information.iter().map(|information| information.normal).sum());
         for round in 0..rounds {
             let mut pieces = vec![Piece::new(); knots.len() - 1];
-            for ((time, pose), told) in self.times.iter().zip(self.poses).zip(self.told) {
+            for ((time, pose), information) in self.times.iter().zip(self.poses).zip(self.information) {
                 let piece = piece_at(knots, *time);
                 let part = (time - knots[piece]) / (knots[piece + 1] - knots[piece]);
                 let mut from = *pose;
                 if let Some((lever, path)) = &before {
                     from -= path.at(*time, lever) - path.at(*time, &Vector::zeros());
                 }
-                pieces[piece].add(part, &told.normal, &(told.right + told.normal * from));
+                pieces[piece].add(
+                    part,
+                    &information.normal,
+                    &(information.right + information.normal * from),
+                );
             }
             let path = Path { times: knots.to_vec(), poses: solved(&pieces, &ridge)? };
             if round + 1 == rounds {
@@ -212,22 +216,22 @@ const LEAST_GAP: f64 = 100.0;
 
 impl<'a> KnotSearch<'a> {
     pub fn new(firings: PathFirings<'a>) -> Self {
-        let PathFirings { times, poses, told } = firings;
+        let PathFirings { times, poses, information } = firings;
         let last = times.len() - 1;
         let mut squares = 0.0;
         let mut sum = Moments { normal: [Matrix6::zeros(); 3], right: [Six::zeros(); 2] };
         let mut moments = vec![sum];
-        for ((time, pose), told) in times.iter().zip(poses).zip(told) {
+        for ((time, pose), information) in times.iter().zip(poses).zip(information) {
             let part = (time - times[0]) / (times[last] - times[0]);
             let off = pose - (poses[0] * (1.0 - part) + poses[last] * part);
-            let push = told.normal * off;
-            squares += told.squares + 2.0 * told.right.dot(&off) + push.dot(&off);
-            let mut normal = told.normal;
+            let push = information.normal * off;
+            squares += information.squares + 2.0 * information.right.dot(&off) + push.dot(&off);
+            let mut normal = information.normal;
             for sum in &mut sum.normal {
                 *sum += normal;
                 normal *= part;
             }
-            let right = told.right + push;
+            let right = information.right + push;
             sum.right[0] += right;
             sum.right[1] += right * part;
             moments.push(sum);

@@ -26,7 +26,7 @@ impl World {
     /// Whether a stream may contain this.
     pub(super) fn is_possible(&self) -> bool {
         let poses = self.first.iter().chain(self.knots.iter().map(|knot| &knot.pose));
-        let mut units = poses.flat_map(|pose| pose.place.into_iter().chain(pose.turn));
+        let mut units = poses.flat_map(|pose| pose.position.into_iter().chain(pose.rotation));
         // False for NaN too.
         self.rotation.iter().all(|r| r.abs() <= LARGEST_ROTATION)
             && self.origin.iter().all(|metres| metres.abs() <= FARTHEST)
@@ -113,13 +113,13 @@ impl World {
 
 /// Poses are coded as differences from the one before.
 fn write_pose(out: &mut Vec<u8>, pose: &Pose, last: &mut Pose) {
-    let numbers = |pose: &Pose| pose.place.into_iter().chain(pose.turn);
+    let numbers = |pose: &Pose| pose.position.into_iter().chain(pose.rotation);
     numbers(pose).zip(numbers(last)).for_each(|(now, before)| write_signed(out, now.wrapping_sub(before)));
     *last = *pose;
 }
 
 fn read_pose(input: &mut &[u8], last: &mut Pose) -> Result<Pose> {
-    for number in last.place.iter_mut().chain(&mut last.turn) {
+    for number in last.position.iter_mut().chain(&mut last.rotation) {
         *number = number.wrapping_add(read_signed(input, WHAT)?);
         if number.unsigned_abs() > MOST_UNITS {
             return Err(Error::corrupt(format!("{WHAT}: a pose too far away")));

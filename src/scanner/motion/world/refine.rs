@@ -6,10 +6,10 @@ use std::f64::consts::TAU;
 use nalgebra::{Matrix6, Rotation3, UnitQuaternion};
 
 use super::anchor::{Pair, rigid, rounded, spacing};
-use super::path::{KnotSearch, Path, PathFirings, Six, Told};
+use super::path::{Information, KnotSearch, Path, PathFirings, Six};
 use super::sweep::{Matrix, Vector};
 use super::undo::{Errors, MEAN_FIRING_US, Search, turn_of};
-use super::{Knot, PACKETS, PLACE_UNIT, Pose, SLOTS, TIME_UNIT, TURN_UNIT, Times, World};
+use super::{Knot, PACKETS, POSITION_UNIT, Pose, ROTATION_UNIT, SLOTS, TIME_UNIT, Times, World};
 use crate::ground::rounding::round_ties_even;
 use crate::scanner::CoordinateGrid;
 
@@ -82,9 +82,10 @@ impl Search {
     /// late.
     fn find_times(&self) -> Option<(Vec<f64>, usize)> {
         let even: Vec<f64> = (0..self.firings).map(|firing| firing as f64 * MEAN_FIRING_US).collect();
-        let told = self.all_told(0, Errors::Rounding(1.0, [0.0, 3e-7, 5e-8]), 8.0);
-        let knots = KnotSearch::new(PathFirings { times: &even, poses: &self.poses, told: &told })
-            .grown(None, 9, 300.0);
+        let information = self.information_of_all(0, Errors::Rounding(1.0, [0.0, 3e-7, 5e-8]), 8.0);
+        let knots =
+            KnotSearch::new(PathFirings { times: &even, poses: &self.poses, information: &information })
+                .grown(None, 9, 300.0);
         let tried = (0..PACKETS).map(|short| {
             let times = self.times(short).of_firings(self.firings);
             let at = |knot: &f64| {
@@ -93,8 +94,9 @@ impl Search {
                 times[place - 1] + (times[place] - times[place - 1]) * part
             };
             let moved: Vec<f64> = knots.iter().map(at).collect();
-            let squares = KnotSearch::new(PathFirings { times: &times, poses: &self.poses, told: &told })
-                .squares(&moved);
+            let squares =
+                KnotSearch::new(PathFirings { times: &times, poses: &self.poses, information: &information })
+                    .squares(&moved);
             (squares, times, short)
         });
         tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, times, short)| (times, short))
@@ -115,8 +117,9 @@ impl Search {
         const STEPS: [f64; 4] = [12.0, 4.0, 1.0, 0.25];
         let more = if round == 0 { [0.0, 2e-7, 3e-8] } else { [0.0; 3] };
         let first = following.first;
-        let told = self.all_told(first, Errors::Rounding(1.0, more), CLIP);
-        let firings = PathFirings { times: following.times(), poses: &self.poses[first..], told: &told };
+        let information = self.information_of_all(first, Errors::Rounding(1.0, more), CLIP);
+        let firings =
+            PathFirings { times: following.times(), poses: &self.poses[first..], information: &information };
         let search = KnotSearch::new(firings);
         // The second round starts anew, now that the map's origin is nearly right.
         let begun = (round == 2).then(|| following.path.times.clone());
@@ -141,8 +144,9 @@ impl Search {
     fn fit(&mut self, following: &mut Following, inside: Option<f64>) -> Option<()> {
         let first = following.first;
         let errors = inside.map_or(Errors::Rounding(1.0, [0.0; 3]), Errors::Inside);
-        let told = self.all_told(first, errors, CLIP);
-        let firings = PathFirings { times: following.times(), poses: &self.poses[first..], told: &told };
+        let information = self.information_of_all(first, errors, CLIP);
+        let firings =
+            PathFirings { times: following.times(), poses: &self.poses[first..], information: &information };
         let path = firings.path(&following.path.times, Some((&self.lever(), &following.path)))?;
         self.go_along(following, path);
         Some(())
@@ -386,20 +390,24 @@ impl Search {
                     self.reread(record, range);
                 }
             }
-            let told: Vec<Told> = (0..first)
-                .map(|firing| self.told(firing, Errors::Rounding(times_error, [0.0; 3]), CLIP))
+            let information: Vec<Information> = (0..first)
+                .map(|firing| self.information(firing, Errors::Rounding(times_error, [0.0; 3]), CLIP))
                 .collect();
             let line = [times[0], times[first - 1]];
-            let firings = PathFirings { times: &times[..first], poses: &self.poses[..first], told: &told };
+            let firings = PathFirings {
+                times: &times[..first],
+                poses: &self.poses[..first],
+                information: &information,
+            };
             let path = if first > 2 { firings.path(&line, None) } else { None };
             for firing in 0..first {
                 if let Some(path) = &path {
                     self.poses[firing] = path.at(times[firing], &Vector::zeros());
                 } else {
                     let ridge = Six::from_fn(|i, _| RIDGE[i / 3]);
-                    let normal = told[firing].normal + Matrix6::from_diagonal(&ridge);
+                    let normal = information[firing].normal + Matrix6::from_diagonal(&ridge);
                     if let Some(cholesky) = normal.cholesky() {
-                        self.poses[firing] += cholesky.solve(&told[firing].right);
+                        self.poses[firing] += cholesky.solve(&information[firing].right);
                     }
                 }
             }
@@ -412,8 +420,8 @@ impl Search {
             std::array::from_fn(|axis| (metres[axis] / unit).round_ties_even() as i64)
         };
         let pose = |pose: &Six| Pose {
-            place: units(&pose.as_slice()[..3], PLACE_UNIT),
-            turn: units(&pose.as_slice()[3..], TURN_UNIT),
+            position: units(&pose.as_slice()[..3], POSITION_UNIT),
+            rotation: units(&pose.as_slice()[3..], ROTATION_UNIT),
         };
         let knot = |(time, of_knot): (&f64, &Six)| Knot {
             time: (time / TIME_UNIT).round_ties_even() as u32,

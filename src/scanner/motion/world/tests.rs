@@ -7,14 +7,14 @@ use crate::ground::random::Rng;
 fn example() -> (Vec<[f32; 3]>, World) {
     let points: Vec<[f32; 3]> =
         (0..100).map(|n| if n % 3 == 0 { [0.0; 3] } else { [n as f32 * 0.1, -1.5, 0.25] }).collect();
-    let knot = |time, x| Knot { time, pose: Pose { place: [x, -5, 1 << 40], turn: [1 << 30, -x, 7] } };
+    let knot = |time, x| Knot { time, pose: Pose { position: [x, -5, 1 << 40], rotation: [1 << 30, -x, 7] } };
     let correction = |record, steps, units| Correction { record, steps, units };
     let world = World {
         rotation: [0.1, -0.2, 3.0],
         origin: [1500.0, -20.0, 1.5],
         lattices: [Some(-13), None],
         times: Times { border: 1, short: 2 },
-        first: vec![Pose { place: [1, 2, 3], turn: [-4, 5, -6] }; 2],
+        first: vec![Pose { position: [1, 2, 3], rotation: [-4, 5, -6] }; 2],
         knots: vec![knot(0, -100), knot(1000, 1 << 29), knot(1001, 9)],
         corrections: vec![
             correction(0, [1, 0], [0; 3]),

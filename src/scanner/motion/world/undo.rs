@@ -5,7 +5,7 @@
 use nalgebra::Matrix3;
 
 use super::anchor::spacing;
-use super::path::{PathFirings, Six, Told};
+use super::path::{Information, PathFirings, Six};
 use super::sweep::{
     FAR_STEPS, Hdl32e, Matrix, Reading, Returnless, Ticks, Vector, returnless, shared_place, ticks, turned,
 };
@@ -132,22 +132,22 @@ impl Sums {
 
     /// Adds the information along this direction: if the pose changes by (p, r), a deviation changes by
     /// direction p + (t x direction) r.
-    fn tell(&self, direction: &Vector, told: &mut Told) {
+    fn add_to(&self, direction: &Vector, information: &mut Information) {
         let lever = -direction.cross_matrix();
         let [xx, xy, xz, yy, yz, zz] = self.products;
         let products = Matrix::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
         let both = direction * (lever * self.points).transpose();
-        let add = |told: &mut Told, at: (usize, usize), block: Matrix| {
-            let mut there = told.normal.fixed_view_mut::<3, 3>(at.0, at.1);
+        let add = |information: &mut Information, at: (usize, usize), block: Matrix| {
+            let mut there = information.normal.fixed_view_mut::<3, 3>(at.0, at.1);
             there += block;
         };
-        add(told, (0, 0), direction * direction.transpose() * self.weight);
-        add(told, (0, 3), both);
-        add(told, (3, 0), both.transpose());
-        add(told, (3, 3), lever * products * lever.transpose());
+        add(information, (0, 0), direction * direction.transpose() * self.weight);
+        add(information, (0, 3), both);
+        add(information, (3, 0), both.transpose());
+        add(information, (3, 3), lever * products * lever.transpose());
         let [place, turn] = [direction * self.push, lever * self.pushed];
-        told.right += Six::new(place.x, place.y, place.z, turn.x, turn.y, turn.z);
-        told.squares += self.squares;
+        information.right += Six::new(place.x, place.y, place.z, turn.x, turn.y, turn.z);
+        information.squares += self.squares;
     }
 }
 
@@ -306,7 +306,7 @@ impl Search {
     }
 
     /// The information of a firing on its pose. Deviations of more than `clip` standard errors are ignored.
-    pub(super) fn told(&self, firing: usize, errors: Errors, clip: f64) -> Told {
+    pub(super) fn information(&self, firing: usize, errors: Errors, clip: f64) -> Information {
         /// The weight of points outside their roundings.
         const OUTSIDE: f64 = 30.0;
         /// The share of the file's rounding that is taken into account.
@@ -337,21 +337,21 @@ impl Search {
                 sums.add(weight, off, &turned);
             }
         }
-        let mut told = Told::default();
+        let mut information = Information::default();
         for (axis, sums) in sums.iter().enumerate() {
-            sums.tell(&self.axes.row(axis).transpose(), &mut told);
+            sums.add_to(&self.axes.row(axis).transpose(), &mut information);
         }
-        told
+        information
     }
 
-    pub(super) fn all_told(&self, from: usize, errors: Errors, clip: f64) -> Vec<Told> {
-        (from..self.firings).map(|firing| self.told(firing, errors, clip)).collect()
+    pub(super) fn information_of_all(&self, from: usize, errors: Errors, clip: f64) -> Vec<Information> {
+        (from..self.firings).map(|firing| self.information(firing, errors, clip)).collect()
     }
 
     /// Fits the poses of all firings to a path with these knots.
     fn follow(&mut self, times: &[f64], knots: &[f64], errors: Errors, clip: f64) -> Option<()> {
-        let told = self.all_told(0, errors, clip);
-        let path = PathFirings { times, poses: &self.poses, told: &told }.path(knots, None)?;
+        let information = self.information_of_all(0, errors, clip);
+        let path = PathFirings { times, poses: &self.poses, information: &information }.path(knots, None)?;
         self.poses = times.iter().map(|time| path.at(*time, &Vector::zeros())).collect();
         Some(())
     }

@@ -1,30 +1,30 @@
-//! A group of pictures: frames coded one after the other with models that learn from each. Frames of several
-//! scanners may alternate; those of each scanner are a track of the group, with its own models. Groups are
-//! independent of each other.
+//! Encodes a group of pictures: frames coded one after the other with models that learn from each. Frames of
+//! several scanners may alternate; those of each scanner are a track of the group, with its own models. Groups
+//! are independent of each other.
 
-use std::borrow::Borrow;
 use std::mem::take;
 
 use super::bound::{Bound, file_rounding_um, smaller_errors, step_rounding_um};
 use super::fidelity::{IntensityFidelity, PositionFidelity};
 use super::levels::InterChoice;
-use super::parameters::{OriginalFile, Prediction, RangeCoder};
+use super::parameters::{Prediction, RangeCoder};
 use super::parts::FrameParts;
-use super::sections::{Effort, SectionReader, SectionWriter};
+use super::sections::{Effort, SectionWriter};
 use super::settings::EncoderConfig;
 use super::stages::{Stage, StageReport};
 use super::syntax::Models;
 use super::whole::WholeFile;
-use crate::article::prediction::intra::IntraPrediction;
 use crate::backend::Trial;
-use crate::container::{FrameHeader, FrameKind, Section, SectionKind, allowance, pay_for};
+use crate::container::{
+    FrameHeader, FrameKind, Section, SectionKind, pay_for, payload_bytes, payload_bytes_of,
+};
 use crate::files::rounded_by_file;
-use crate::ground::error::{Error, Limits, Result};
+use crate::ground::error::Result;
 use crate::ground::grid::Grid;
 use crate::inter;
-use crate::inter::registration::{Pose, QuantisedPose, register};
+use crate::inter::registration::{QuantisedPose, register};
 use crate::scan::ScanFile;
-use crate::scanner::{RangeImage, Scanner};
+use crate::scanner::Scanner;
 
 /// Encodes the frames of one group.
 pub struct GroupEncoder<'s> {
@@ -49,8 +49,10 @@ struct TrackEncoder<'s> {
 /// What the frames of a track leave for the next.
 #[derive(Clone, Default)]
 struct TrackState<'s> {
-    /// `None` also if the first frame was smaller without it.
     scanner: Option<&'s Scanner>,
+    /// How well the scanner explains the last frame that was smaller without a range image, if there was one:
+    /// others like that are coded without one, too.
+    score_without_image: Option<f64>,
     /// In a box, as they are large and change hands.
     models: Box<Models>,
     /// The last motion of the scanner, from frame to frame.
@@ -88,13 +90,11 @@ struct LossyFile {
 impl EncodedFrame {
     /// Bytes of the sections.
     fn size(&self) -> usize {
-        size_of_sections(&self.sections)
+        payload_bytes(&self.sections)
     }
 
-    /// Bytes of the channels.
-    fn of_channels(&self) -> usize {
-        let of_channels = self.sections.iter().filter(|section| section.kind == SectionKind::Channels);
-        of_channels.map(|section| section.payload.len()).sum()
+    fn channel_bytes(&self) -> usize {
+        payload_bytes_of(&self.sections, SectionKind::Channels)
     }
 }
 
@@ -105,11 +105,6 @@ impl Candidate<'_> {
     }
 }
 
-/// Bytes of sections, without their headers.
-fn size_of_sections(sections: &[Section]) -> usize {
-    sections.iter().map(|section| section.payload.len()).sum()
-}
-
 impl<'s> GroupEncoder<'s> {
     /// A new group whose tracks have these scanners.
     pub fn new(scanners: &[Option<&'s Scanner>], config: &'s EncoderConfig) -> Self {
@@ -117,7 +112,7 @@ impl<'s> GroupEncoder<'s> {
         GroupEncoder { tracks, config }
     }
 
-    /// Encodes the next frame so that decoders accept it under [`Limits::default`]. `original` describes its
+    /// Encodes the next frame so that decoders accept it under [`Limits::default`](crate::Limits::default). `original` describes its
     /// file and names its track; a track that the group does not have yet has no scanner. In bounded mode, a
     /// frame is coded exactly if it would exceed the bound, such as text with too few digits for the decoded
     /// values, or if that is smaller: some channels follow from exact positions alone.
@@ -179,7 +174,7 @@ impl<'s> TrackEncoder<'s> {
         // The other fields of a record stay exact. If they follow from the position, they may take more bytes
         // with a larger error than the positions save.
         let channels_grow =
-            bounded.as_ref().is_some_and(|b| b.encoded.of_channels() > exact.encoded.of_channels());
+            bounded.as_ref().is_some_and(|b| b.encoded.channel_bytes() > exact.encoded.channel_bytes());
         if self.error_um.is_none() && channels_grow {
             for within in smaller_errors(max_error_um) {
                 let smaller = self.within_bound(before, scan, original, within)?;
@@ -254,13 +249,17 @@ impl<'s> TrackEncoder<'s> {
     ) -> Result<Candidate<'s>> {
         let mut stages = StageReport { frames: 1, original: original.file_size, ..StageReport::default() };
         let name = scan.name.clone();
-        let mut frame = FrameParts::from_scan(scan, state.scanner, config, &mut stages)?;
+        let has_image = state.has_image(&scan);
+        let mut frame = FrameParts::from_scan(scan, state.scanner, has_image, config, &mut stages)?;
         frame.parameters.halved = state.halves(&frame, config);
         let before = may_be_unexplained(&frame, config).then(|| (state.models.clone(), stages));
+        // Others are like these.
+        let may_do_without = has_image && (state.frames == 0 || state.score_without_image.is_some());
+        let before_it = may_do_without.then(|| state.clone());
         let fit = stages.timed(Stage::Registration, || state.estimate_motion(&frame, config));
         let best = state.best_attempt(frame, fit, config, stages)?;
-        if state.frames == 1
-            && let Some(candidate) = self.without_scanner(&best, config, &name, &original)?
+        if let Some(before) = before_it
+            && let Some(candidate) = self.without_image(before, &best, config, &name, &original)?
         {
             return Ok(candidate);
         }
@@ -277,10 +276,11 @@ impl<'s> TrackEncoder<'s> {
         Ok(Candidate { encoded, lossy, after: state })
     }
 
-    /// The first frame of a track without its scanner, if that is smaller: a scanner may know where the
+    /// A frame without a range image, as the one after `before`, if that is smaller: a scanner may know where the
     /// points are, but not the numbers of the file.
-    fn without_scanner(
+    fn without_image(
         &mut self,
+        mut before: TrackState<'s>,
         best: &Attempt,
         config: &EncoderConfig,
         name: &str,
@@ -290,7 +290,8 @@ impl<'s> TrackEncoder<'s> {
             return Ok(None);
         }
         let scan = best.frame.clone().into_scan(name)?;
-        let without = self.encode_as(TrackState::default(), config, scan, original.clone())?;
+        before.score_without_image = before.score(&scan);
+        let without = self.encode_as(before, config, scan, original.clone())?;
         Ok(Some(without).filter(|without| without.encoded.size() < best.size()))
     }
 
@@ -312,6 +313,19 @@ impl<'s> TrackEncoder<'s> {
 }
 
 impl TrackState<'_> {
+    /// How well the scanner explains a scan, if there is one.
+    fn score(&self, scan: &ScanFile) -> Option<f64> {
+        self.scanner.map(|scanner| scanner.score(&scanner.along_axes(&scan.cloud)))
+    }
+
+    /// Whether a scan has a range image.
+    fn has_image(&self, scan: &ScanFile) -> bool {
+        /// The scanner must explain a scan better than one without an image by so much.
+        const BETTER: f64 = 0.25;
+        let Some(without) = self.score_without_image else { return true };
+        self.score(scan).is_some_and(|score| score > without + BETTER)
+    }
+
     /// Whether the halves of a frame's image are coded separately. The first frame decides for all: they are
     /// if its image is large and the models adapt to each value.
     fn halves(&mut self, frame: &FrameParts, config: &EncoderConfig) -> bool {
@@ -330,7 +344,7 @@ impl TrackState<'_> {
         let (scanner, past) = (self.scanner?, self.models.past()?);
         let choice = config.inter_choice(self.frames);
         let is_too_large = frame.image.steps.cells().len() > inter::MOST_CELLS;
-        if frame.strays == frame.records || is_too_large || choice == InterChoice::Never {
+        if frame.strays.count == frame.records || is_too_large || choice == InterChoice::Never {
             return None;
         }
         let surfaces = scanner.hdl64();
@@ -362,7 +376,8 @@ impl TrackState<'_> {
         stages: StageReport,
     ) -> Result<Attempt> {
         frame.parameters.motion = self.motion;
-        let has_regions = self.scanner.is_some_and(|scanner| scanner.hdl64().is_some());
+        let has_regions =
+            frame.in_image() > 0 && self.scanner.is_some_and(|scanner| scanner.hdl64().is_some());
         let mut predictions = config.predictions(fit, has_regions);
         let last = predictions.pop().unwrap_or_default();
         let mut best = None;
@@ -443,9 +458,8 @@ fn may_be_unexplained(frame: &FrameParts, config: &EncoderConfig) -> bool {
 /// Whether that is likely, now that the frame is coded: many points are outside the image, or the positions
 /// of blanks take many bytes.
 fn is_unexplained(frame: &FrameParts, sections: &[Section], file_size: u64) -> bool {
-    let blanks = sections.iter().filter(|section| section.kind == SectionKind::Blanks);
-    let of_blanks: usize = blanks.map(|section| section.payload.len()).sum();
-    4 * frame.strays >= frame.records || 16 * of_blanks as u64 >= file_size
+    let blank_bytes = payload_bytes_of(sections, SectionKind::Blanks) as u64;
+    4 * frame.strays.count >= frame.records || 16 * blank_bytes >= file_size
 }
 
 /// Whether the corrections of an exact frame take so many bits that its points may take fewer without a
@@ -453,9 +467,8 @@ fn is_unexplained(frame: &FrameParts, sections: &[Section], file_size: u64) -> b
 fn are_corrections_costly(frame: &FrameParts, sections: &[Section]) -> bool {
     /// Where a scanner's recipe is not known, but the grid is, corrections take fewer bits a return.
     const MOST_BITS: usize = 10;
-    let corrections = sections.iter().filter(|section| section.kind == SectionKind::Correction);
-    let bytes: usize = corrections.map(|section| section.payload.len()).sum();
-    frame.parameters.source.is_none() && 8 * bytes > MOST_BITS * (frame.records - frame.strays)
+    let bytes = payload_bytes_of(sections, SectionKind::Correction);
+    frame.parameters.source.is_none() && 8 * bytes > MOST_BITS * frame.in_image()
 }
 
 /// A frame coded with one of several predictions.
@@ -477,7 +490,7 @@ impl Attempt {
     }
 
     fn size(&self) -> usize {
-        size_of_sections(&self.sections)
+        payload_bytes(&self.sections)
     }
 
     /// This attempt or an earlier one, which wins ties.
@@ -493,132 +506,4 @@ impl Attempt {
 fn squared_error(a: &Grid<u32>, b: &Grid<u32>) -> f64 {
     let differences = a.cells().iter().zip(b.cells()).map(|(a, b)| f64::from(a.abs_diff(*b)));
     differences.map(|difference| difference * difference).sum()
-}
-
-/// A frame decoded by [`GroupDecoder`].
-pub struct DecodedScan {
-    /// The file.
-    pub scan: ScanFile,
-    /// Properties of the original file, if it is not restored exactly.
-    pub source: Option<OriginalFile>,
-    /// Whether it has the points of the original file in the same order.
-    pub keeps_order: bool,
-    /// The range image, if there is one and it was requested.
-    pub image: Option<DecodedImage>,
-    /// How well the scanner explains it, if it has one and this was requested.
-    pub explained: Option<Explained>,
-}
-
-/// How well a frame's scanner explains it.
-#[derive(Clone, Copy, Debug)]
-pub struct Explained {
-    /// Number of points of the file.
-    pub points: u64,
-    /// The number of these in the range image, including echoes and blanks.
-    pub in_image: u64,
-    /// The number of points in the image that the formula reproduces as measured, to the last bit.
-    pub exact: u64,
-}
-
-/// The range image of a decoded frame.
-#[derive(Clone, Debug)]
-pub struct DecodedImage {
-    /// The scanner that defines the rows, ticks and steps.
-    pub scanner: Scanner,
-    /// The ranges.
-    pub image: RangeImage,
-    /// The point of the file in each cell, counted from 0.
-    pub point_of_cell: Grid<Option<u32>>,
-    /// The regions that predict the ranges; empty if none do.
-    pub intra: IntraPrediction,
-    /// The motion of the scanner since the frame before, if it is used to predict the ranges.
-    pub motion: Option<Pose>,
-}
-
-/// Decodes the frames of one group.
-pub struct GroupDecoder<S> {
-    /// The scanner of each track, and the models of its frames, once there was one.
-    tracks: Vec<(Option<S>, Option<Models>)>,
-    limits: Limits,
-    keeps_images: bool,
-    judges_scanners: bool,
-}
-
-impl<S: Borrow<Scanner>> GroupDecoder<S> {
-    /// A new group whose tracks have these scanners.
-    pub fn new(scanners: impl IntoIterator<Item = Option<S>>, limits: &Limits) -> Self {
-        let tracks = scanners.into_iter().map(|scanner| (scanner, None)).collect();
-        GroupDecoder { tracks, limits: *limits, keeps_images: false, judges_scanners: false }
-    }
-
-    /// Makes the decoder also return range images.
-    pub fn keeping_images(self, keeps_images: bool) -> Self {
-        GroupDecoder { keeps_images, ..self }
-    }
-
-    /// Makes the decoder also determine how well the scanners explain their frames.
-    pub fn judging_scanners(self) -> Self {
-        GroupDecoder { judges_scanners: true, ..self }
-    }
-
-    /// Decodes the next frame; adds the times of all stages to `stages`.
-    ///
-    /// # Errors
-    /// If the sections do not make a frame, or make one that exceeds the limits; if the group does not have
-    /// the frame's track.
-    pub fn decode_frame(
-        &mut self,
-        header: &FrameHeader,
-        sections: &[Section],
-        stages: &mut StageReport,
-    ) -> Result<DecodedScan> {
-        let track = self.tracks.get_mut(usize::from(header.stamp.track));
-        let unknown = || Error::corrupt("a frame of a track that the group does not have");
-        let (scanner, models) = track.ok_or_else(unknown)?;
-        let scanner = scanner.as_ref().map(S::borrow);
-        let models = models.get_or_insert_default();
-        let (mut frame, report) = decode_parts(models, scanner, header, sections, &self.limits)?;
-        stages.add(&report);
-        let source = frame.parameters.source;
-        stages.frames += 1;
-        let original = source.map_or(header.file_size, |source| source.file_size);
-        stages.original = stages.original.saturating_add(original);
-        stages.count_sections(sections);
-        let explained = scanner.filter(|_| self.judges_scanners).map(|scanner| Explained {
-            points: frame.records as u64,
-            in_image: frame.returns.len() as u64,
-            exact: frame.exact_returns(scanner) as u64,
-        });
-        let image = match scanner.filter(|_| self.keeps_images) {
-            Some(scanner) => Some(DecodedImage {
-                scanner: scanner.clone(),
-                point_of_cell: frame.point_of_cell()?,
-                image: take(&mut frame.image),
-                intra: take(&mut frame.intra),
-                motion: (frame.parameters.prediction == Prediction::Inter)
-                    .then(|| frame.parameters.motion.pose()),
-            }),
-            None => None,
-        };
-        let keeps_order = frame.parameters.positions != PositionFidelity::Formula;
-        Ok(DecodedScan { scan: frame.into_scan(&header.name)?, source, keeps_order, image, explained })
-    }
-}
-
-/// Decodes the sections of the next frame of a track.
-///
-/// # Errors
-/// If they do not make a frame, or make one that exceeds the limits.
-pub(crate) fn decode_parts(
-    models: &mut Models,
-    scanner: Option<&Scanner>,
-    header: &FrameHeader,
-    sections: &[Section],
-    limits: &Limits,
-) -> Result<(FrameParts, StageReport)> {
-    let limits = limits.at_most(allowance(sections));
-    let mut reader = SectionReader::new(sections, &limits);
-    let mut frame = FrameParts::of_records(header.point_count as usize, scanner);
-    models.code_frame(&mut reader, scanner, &mut frame)?;
-    Ok((frame, reader.finish()?))
 }
