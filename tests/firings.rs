@@ -9,7 +9,7 @@ use crate::common::firings::{
     velodyne_decoder_vlp_16, vlp_32c, with_echoes,
 };
 use crate::common::formats::kitti;
-use crate::common::scans::{Points, rounded};
+use crate::common::scans::{Points, random_points, rounded};
 use crate::common::streams::at_level;
 use crate::common::{self, File, round_trip, take_apart};
 use lidarpc::internals::container::{Group, SectionKind};
@@ -613,6 +613,22 @@ fn ousters_without_blanks_are_found_in_every_order() {
         assert_eq!((inexact, strays), (0, 0), "{name}");
         let stream = round_trip(&files(std::slice::from_ref(&points)), &EncoderConfig::default());
         assert!(stream.len() < 5 * points.len() / 4, "{name}: {} bytes", stream.len());
+    }
+}
+
+#[test]
+fn a_first_scan_of_another_kind_does_not_keep_the_others_from_their_scanner() {
+    let scans = scans(&config(3, 3, 4));
+    let y_up = |[x, y, z, i]: [f32; 4]| [-y, -z, x, i];
+    for turned in [false, true] {
+        let of_scanner = scans.iter().map(|points| match turned {
+            true => points.iter().copied().map(y_up).collect(),
+            false => points.clone(),
+        });
+        let files = files(&std::iter::once(random_points(5000, 7)).chain(of_scanner).collect::<Vec<_>>());
+        let [all, first, others] = [&files[..], &files[..1], &files[1..]]
+            .map(|files| round_trip(files, &EncoderConfig::default()).len());
+        assert!(all < first + others + others / 10, "{all} bytes, alone {first} and {others}");
     }
 }
 

@@ -369,6 +369,31 @@ fn recipes() -> Vec<Recipe> {
         EncoderConfig::default(),
     );
     exact(
+        "firings-hesai-general-sdk",
+        || firings_files(firings::Recipe::HesaiGeneralSdk, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-hesai-sdk-2",
+        || firings_files(firings::Recipe::HesaiSdk2, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-ros-rslidar",
+        || firings_files(firings::Recipe::RosRslidar, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-pandar64-in-degrees",
+        || firings_files(firings::Recipe::Pandar64InDegrees, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact(
+        "firings-off-axis-fused",
+        || firings_files(firings::Recipe::RoboSenseFused, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact(
         "firings-focal-point",
         || firings_files(firings::Recipe::VelodyneDecoder, Cells::Returns),
         EncoderConfig::default(),

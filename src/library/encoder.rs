@@ -10,7 +10,9 @@ use crate::container::Stamp;
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Result};
 use crate::stream::FrameInput;
-use crate::stream::encoder::{EncodedGroup, MessageCoder, OpenStream, SequenceCoder};
+use crate::stream::encoder::{
+    EncodedGroup, MOST_WAITING, MessageCoder, OpenStream, SequenceCoder, may_show_scanner,
+};
 use crate::stream::ordered::Workers;
 use crate::stream::scanner_choice::{DriveScanners, choose_scanners, records_of};
 
@@ -30,7 +32,7 @@ pub struct Encoder<W> {
 
 #[derive(Debug)]
 enum State<W> {
-    /// Until the first group is full.
+    /// Until the first group is full, and shows a scanner.
     Waiting(W),
     Coding(Box<Coding<W>>),
     /// After an error, which was reported.
@@ -75,7 +77,7 @@ impl<W: Write> Encoder<W> {
     }
 
     /// Adds the next scan. The scan that completes the first group also has the scanner fitted, which takes
-    /// up to a few seconds. Later, the scan that completes a group waits for a free thread; with one thread,
+    /// up to a few seconds; groups of empty scans before it wait for it. Later, the scan that completes a group waits for a free thread; with one thread,
     /// it has the group encoded.
     ///
     /// # Errors
@@ -84,7 +86,7 @@ impl<W: Write> Encoder<W> {
     pub fn push(&mut self, scan: Scan) -> Result<()> {
         let (scan, stamp) = scan.into_parts();
         self.open.push(FrameInput::scan(scan).stamped(stamp));
-        if self.open.len() < self.config.gop { Ok(()) } else { self.close_group() }
+        if self.open.len() < self.config.gop || self.is_waiting() { Ok(()) } else { self.close_group() }
     }
 
     /// Codes and writes the remaining scans, and the index.
@@ -109,16 +111,25 @@ impl<W: Write> Encoder<W> {
         })
     }
 
-    /// Starts the coding of the open group.
+    /// Whether the first groups wait for one to which a scanner can be fitted.
+    fn is_waiting(&self) -> bool {
+        let may_wait = self.open.len() < MOST_WAITING * self.config.gop;
+        may_wait && matches!(self.state, State::Waiting(_)) && !may_show_scanner(&self.open)
+    }
+
+    /// Starts the coding of the open group, and of those that have waited with it.
     fn close_group(&mut self) -> Result<()> {
-        let group = take(&mut self.open);
+        let mut scans = take(&mut self.open);
         let state = std::mem::replace(&mut self.state, State::Failed);
         let mut coding = match state {
-            State::Waiting(out) => Box::new(Coding::begin(out, &group, &self.config)?),
+            State::Waiting(out) => Box::new(Coding::begin(out, &scans, &self.config)?),
             State::Coding(coding) => coding,
             State::Failed => return Err(failed()),
         };
-        coding.code(group, &self.config)?;
+        while !scans.is_empty() {
+            let later = scans.split_off(scans.len().min(self.config.gop));
+            coding.code(std::mem::replace(&mut scans, later), &self.config)?;
+        }
         self.state = State::Coding(coding);
         Ok(())
     }

@@ -34,8 +34,8 @@ macro_rules! scalars {
         }
 
         impl ChannelValues {
-            /// ChannelValues from their little-endian bytes; an incomplete value at the end is ignored.
-            pub fn from_bytes(scalar: scan::ScalarType, bytes: &[u8]) -> Self {
+            /// Values from their little-endian bytes; an incomplete value at the end is ignored.
+            pub(crate) fn from_le_bytes(scalar: scan::ScalarType, bytes: &[u8]) -> Self {
                 match scalar {
                     $(scan::ScalarType::$variant => ChannelValues::$variant(
                         bytes.as_chunks().0.iter().map(|value| $scalar::from_le_bytes(*value)).collect(),
@@ -44,7 +44,7 @@ macro_rules! scalars {
             }
 
             /// The little-endian bytes of the values.
-            pub(crate) fn to_bytes(&self) -> Vec<u8> {
+            pub(crate) fn to_le_bytes(&self) -> Vec<u8> {
                 match self {
                     $(ChannelValues::$variant(values) => {
                         values.iter().flat_map(|value| value.to_le_bytes()).collect()

@@ -248,7 +248,7 @@ impl Scan {
             .channels
             .into_iter()
             .map(|Channel { field, bytes }| TypedChannel {
-                values: ChannelValues::from_bytes(field.scalar, &bytes),
+                values: ChannelValues::from_le_bytes(field.scalar, &bytes),
                 name: field.name,
                 count: field.count,
             })
@@ -281,7 +281,7 @@ impl Scan {
                 cloud.intensity = intensities(values);
             } else {
                 let field = Field { name, scalar: values.scalar(), count };
-                cloud.channels.push(Channel { field, bytes: values.to_bytes() });
+                cloud.channels.push(Channel { field, bytes: values.to_le_bytes() });
             }
         }
         let records = self.points;

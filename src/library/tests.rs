@@ -102,6 +102,36 @@ fn everything_may_be_sent_to_another_thread() {
 }
 
 #[test]
+fn empty_and_partial_scans_before_others_do_not_hide_the_scanner() {
+    const EMPTY: usize = 7;
+    let scans = || drive().into_iter().map(|(name, bytes)| Scan::from_file(&name, bytes));
+    let empty = || std::iter::repeat_n(Scan::from_positions(&[]), EMPTY);
+    let size_of_stream = |scans: &mut dyn Iterator<Item = Scan>| {
+        let mut stream = Vec::new();
+        let settings = Settings::exact().with_group_of_pictures(3);
+        let mut encoder = Encoder::new(&mut stream, settings).unwrap();
+        scans.for_each(|scan| encoder.push(scan).unwrap());
+        assert_eq!(encoder.finish().unwrap().scans as usize, decoded(&stream).len());
+        stream.len()
+    };
+    let (usual, after_empty) = (size_of_stream(&mut scans()), size_of_stream(&mut empty().chain(scans())));
+    assert!(after_empty < usual + usual / 5, "{after_empty} bytes, {usual} without empty scans");
+
+    // A few points of a scan show the scanner, but badly.
+    let (name, bytes) = drive().swap_remove(0);
+    let part = Scan::from_file(&name, bytes[..bytes.len() / 16 / 8 * 16].to_vec());
+    let last_message = |before: &mut dyn Iterator<Item = Scan>| {
+        let mut encoder = MessageEncoder::new(Settings::exact()).unwrap();
+        let messages = before.chain(scans()).map(|scan| encoder.encode(scan).unwrap());
+        messages.last().unwrap().len()
+    };
+    let usual = last_message(&mut std::iter::empty());
+    for after in [last_message(&mut empty()), last_message(&mut std::iter::once(part))] {
+        assert!(after < usual + usual / 20, "{after} bytes, {usual} without others before");
+    }
+}
+
+#[test]
 fn files_make_the_same_stream_as_by_the_command_line() {
     let files = drive();
     for threads in [1, 3] {

@@ -40,8 +40,9 @@ pub fn encode<W: Write>(
 }
 
 /// As [`encode`], for frames that arrive over time: each group is written as soon as it is coded, without
-/// waiting for the frame after it. Scanners are fitted to the first group; tracks that begin later are coded
-/// without a scanner. A few groups are in memory at a time.
+/// waiting for the frame after it. Scanners are fitted to the first group that has scans of some size, for which
+/// others before it wait; tracks that begin later are coded without a scanner. A few groups are in memory at a
+/// time.
 ///
 /// # Errors
 /// As [`encode`]; also the first error of `frames`.
@@ -57,9 +58,23 @@ pub fn encode_live<W: Write>(
         let group: Result<Vec<_>> = frames.by_ref().take(config.gop).collect();
         group.map(|group| (!group.is_empty()).then_some(Cow::Owned(group))).transpose()
     });
-    let first: Option<Cow<'_, [FrameInput]>> = groups.next().transpose()?;
-    let scanners = choose_scanners(first.as_deref().unwrap_or_default(), config)?;
-    encode_groups(&scanners, first.map(Ok).into_iter().chain(groups), config, out, on_frame)
+    let mut first: Vec<Cow<'_, [FrameInput]>> = Vec::new();
+    while first.len() < MOST_WAITING && !first.last().is_some_and(|group| may_show_scanner(group)) {
+        let Some(group) = groups.next().transpose()? else { break };
+        first.push(group);
+    }
+    let scanners = choose_scanners(first.last().map_or(&[], |group| group), config)?;
+    encode_groups(&scanners, first.into_iter().map(Ok).chain(groups), config, out, on_frame)
+}
+
+/// Largest number of groups that wait for one with scans of some size.
+pub(crate) const MOST_WAITING: usize = 10;
+
+/// Whether one of the frames may show its scanner. Recordings often begin with empty scans.
+pub(crate) fn may_show_scanner(frames: &[FrameInput]) -> bool {
+    /// In bytes: about a hundred points.
+    const SOME: u64 = 1600;
+    frames.iter().any(|frame| frame.size().is_ok_and(|size| size >= SOME))
 }
 
 /// A stream with one group of frames, whose scanners are known.

@@ -63,12 +63,16 @@ pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> 
     Ok(scanners)
 }
 
-/// The scanners of frames that are coded one by one: those of the first frame to which a scanner fits, or
-/// otherwise those of the last of a few frames.
+/// The scanners of frames that are coded one by one: those fitted to one of the first frames. Recordings often begin
+/// with empty or partial scans, so a fit is replaced until it explains the next frame.
 #[derive(Clone, Default)]
 pub(crate) struct KeptScanners {
     kept: Option<Arc<DriveScanners>>,
+    /// Number of frames to which a fit was attempted.
     tries: usize,
+    /// Number of these with few points.
+    small: usize,
+    is_settled: bool,
 }
 
 impl KeptScanners {
@@ -82,19 +86,34 @@ impl KeptScanners {
         frame: impl FnOnce() -> Option<FrameInput>,
         config: &EncoderConfig,
     ) -> Result<Arc<DriveScanners>> {
-        /// Number of frames to which a fit is attempted.
-        const MOST_TRIES: usize = 5;
-        if let Some(kept) = self.kept.as_ref().filter(|_| self.tries >= MOST_TRIES) {
+        /// Largest number of frames to which a fit is attempted; of those with few points, the second one.
+        const MOST_TRIES: [usize; 2] = [5, 50];
+        /// Fewer points do not show a scanner well.
+        const FEW: usize = 1000;
+        /// A scanner that explains this share of a frame has measured it.
+        const EXPLAINED: f64 = 0.9;
+        if let Some(kept) = self.kept.as_ref().filter(|_| self.is_settled) {
             return Ok(Arc::clone(kept));
         }
-        self.tries += 1;
         let frame = frame();
-        let scanners = Arc::new(scanners_of_drive(frame.as_slice(), config)?);
-        if scanners.scanners.iter().any(Option::is_some) {
-            self.tries = MOST_TRIES;
+        let scan = frame.clone().map(|frame| frame.into_frame(config.headerless.as_ref())).transpose()?;
+        let scan = scan.map(|frame| frame.scan).unwrap_or_default();
+        let is_small = scan.cloud.measured() < FEW;
+        let score = |scanners: &DriveScanners| scanners.score(&scan, config);
+        let before = self.kept.take().map(|kept| (score(&kept), kept));
+        if let Some((_, kept)) = before.as_ref().filter(|(score, _)| !is_small && *score >= EXPLAINED) {
+            self.is_settled = true;
+            return Ok(Arc::clone(self.kept.insert(Arc::clone(kept))));
         }
-        self.kept = Some(Arc::clone(&scanners));
-        Ok(scanners)
+        *(if is_small { &mut self.small } else { &mut self.tries }) += 1;
+        self.is_settled = self.tries >= MOST_TRIES[0] || self.small >= MOST_TRIES[1];
+        let fitted = Arc::new(scanners_of_drive(frame.as_slice(), config)?);
+        let fitted = (score(&fitted), fitted);
+        let (_, best) = match before {
+            Some(before) if before.0 >= fitted.0 => before,
+            _ => fitted,
+        };
+        Ok(Arc::clone(self.kept.insert(best)))
     }
 }
 
@@ -131,13 +150,23 @@ impl DriveScanners {
         if !self.are_mixed {
             return own;
         }
+        self.best_track(own, scan, config).0
+    }
+
+    /// How well the best of the scanners explains a scan.
+    fn score(&self, scan: &ScanFile, config: &EncoderConfig) -> f64 {
+        self.best_track(0, scan, config).1
+    }
+
+    /// The track of the scanner that explains most of a scan, as it is or as it was measured, and how much that is.
+    fn best_track(&self, own: u8, scan: &ScanFile, config: &EncoderConfig) -> (u8, f64) {
         let along_axes = |scanner: &Scanner| scanner.along_axes(&scan.cloud);
         let measured = |scanner: &Scanner| {
             Cow::Owned(as_measured(along_axes(scanner).into_owned(), config.undoes_compensation()))
         };
         match self.track_by_points(own, along_axes) {
-            (track, explained) if explained >= LEAST_EXPLAINED => track,
-            _ => self.track_by_points(own, measured).0,
+            (track, explained) if explained >= LEAST_EXPLAINED => (track, explained),
+            _ => self.track_by_points(own, measured),
         }
     }
 

@@ -15,13 +15,13 @@ pub fn made_up(recipe: Recipe) -> Firings {
     let (ticks, range_step_um) = match recipe {
         Recipe::SingleRangeXAhead => (2048, 1000),
         recipe if recipe.measures_from_axis() => (1024, 1000),
-        Recipe::RoboSense | Recipe::RoboSenseEarly => (36_000, 2500),
+        Recipe::RoboSense | Recipe::RoboSenseEarly | Recipe::RoboSenseFused => (36_000, 2500),
         Recipe::DoubleYAhead => (36_000, 2000),
         _ => (36_000, 4000),
     };
     let degrees = |thousandths: i64| thousandths * 1_000_000;
     let laser = |row: i64| match recipe {
-        Recipe::RoboSense | Recipe::RoboSenseEarly => Laser {
+        Recipe::RoboSense | Recipe::RoboSenseEarly | Recipe::RoboSenseFused => Laser {
             elevation: degrees(15_000 - 1_230 * row),
             azimuth: degrees([2_270, -7_900, 2_320, -7_850][row as usize % 4]),
         },
@@ -32,7 +32,9 @@ pub fn made_up(recipe: Recipe) -> Firings {
         },
     };
     let origin = match recipe {
-        Recipe::RoboSense | Recipe::RoboSenseEarly => Origin { along_um: 34_980, up_um: 0 },
+        Recipe::RoboSense | Recipe::RoboSenseEarly | Recipe::RoboSenseFused => {
+            Origin { along_um: 34_980, up_um: 0 }
+        }
         Recipe::LsLidar => Origin { along_um: 36_100, up_um: 0 },
         Recipe::Ouster | Recipe::OusterRos => Origin { along_um: 15_806, up_um: 38_195 },
         Recipe::OusterEarly => Origin { along_um: -12_163, up_um: 36_180 },

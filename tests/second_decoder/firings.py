@@ -13,22 +13,25 @@ TOGETHER, VLP_16, ONE_FIRING, TWO_FIRINGS = range(4)
 WHOLE = 1 << 24
 
 # How the recipes' ranges are rounded, and which of them compute in double precision.
-SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13, 15, 16, 18, 20
-ROUNDED_PRODUCT = 6, 7, 10, 19, 21
-DOUBLE = 1, 2, 3, 5, 11, 12, 14, 17, 22
-GLIBC = 6, 7, 8, 9, 15, 16, 19, 20, 21, 22
+SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13, 15, 16, 18, 20, 25, 27
+ROUNDED_PRODUCT = 6, 7, 10, 19, 21, 24, 26
+DOUBLE = 1, 2, 3, 5, 11, 12, 14, 17, 22, 23, 25
+GLIBC = 6, 7, 8, 9, 15, 16, 19, 20, 21, 22, 23
 SUM_OF_RADIANS = 6, 19, 20
 SUM_OF_DEGREES = 7, 14, 21, 22
 DOUBLE_PRODUCTS = 14, 21, 22
 FOCAL_POINT = 15, 16
 OUSTER = 11, 12, 17
-UNROUNDED = 1, 2, 3, 5
-ROBOSENSE, LSLIDAR, PANDAR_64, APOLLO, ONCE, OUSTER_EARLY, ROBOSENSE_EARLY = 4, 5, 10, 13, 14, 17, 18
-LAST = 22
+UNROUNDED = 1, 2, 3, 5, 25
+PANDAR_64 = 10, 26
+ROBOSENSE, LSLIDAR, APOLLO, ONCE, OUSTER_EARLY, ROBOSENSE_EARLY = 4, 5, 13, 14, 17, 18
+HESAI_GENERAL_SDK, HESAI_SDK_2, ROS_RSLIDAR, ROBOSENSE_FUSED = 23, 24, 25, 27
+LAST = 27
 
 SLOT, FIRING, BLOCK = map(f32, (2.304, 55.296, 110.592))
 LS_DEGREE = 0.017453293
 DEGREE = pi / 180
+FINE_TICKS = 36000 * 256
 
 
 def radians(degrees):
@@ -41,6 +44,10 @@ def cos_single(v):
 
 def sin_single(v):
     return f32(sin(v))
+
+
+def fine_angle(part):
+    return part * 2 * pi / FINE_TICKS
 
 
 def fma(a, b, c):
@@ -144,6 +151,10 @@ class Scanner:
             12: self.ouster,
             OUSTER_EARLY: self.ouster,
             ROBOSENSE_EARLY: self.robosense,
+            ROBOSENSE_FUSED: self.robosense,
+            HESAI_GENERAL_SDK: self.hesai_general_sdk,
+            HESAI_SDK_2: self.hesai_sdk_2,
+            ROS_RSLIDAR: self.ros_rslidar,
             **dict.fromkeys(SUM_OF_RADIANS + SUM_OF_DEGREES, self.sum),
         }.get(self.recipe, self.single)
         self.lasers = [self.laser(elevation * 1e-9, azimuth * 1e-9) for elevation, azimuth in angles]
@@ -244,6 +255,14 @@ class Scanner:
             laser.cos_v, laser.sin_v = self.direction_of_tick(round(e / 360 * self.ticks) % self.ticks)
         elif self.position == self.robosense:
             laser.cos_v, laser.sin_v = cos_single(radians(e)), sin_single(radians(e))
+        elif self.recipe == HESAI_GENERAL_SDK:
+            laser.cos_v, laser.sin_v = self.cosine(f32(radians(e))), self.sine(f32(radians(e)))
+        elif self.recipe == HESAI_SDK_2:
+            laser.turned = round(o / 360 * FINE_TICKS) % FINE_TICKS
+            v = fine_angle(round(e / 360 * FINE_TICKS) % FINE_TICKS)
+            laser.cos_v, laser.sin_v = cos_single(v), sin_single(v)
+        elif self.recipe == ROS_RSLIDAR:
+            laser.cos_v, laser.sin_v = cos(f32(radians(e))), sin(f32(radians(e)))
         elif self.position == self.lslidar:
             laser.cos_v, laser.sin_v = cos(e * LS_DEGREE), sin(e * LS_DEGREE)
         elif self.position == self.sum:
@@ -264,11 +283,13 @@ class Scanner:
             found = self.of_ticks[tick] = make(tick)
         return found
 
-    # Recipes 0, 8, 9, 10, 13, 15 and 16
+    # Recipes 0, 8, 9, 10, 13, 15, 16 and 26
 
     def direction_single(self, tick):
-        if self.recipe == PANDAR_64:
+        if self.recipe == 10:
             a = f32(f32((tick + self.ticks // 4) % self.ticks) * f32(self.tick_degrees * pi / 180))
+        elif self.recipe == 26:
+            a = f32(radians(f32(f32(self.tick_degrees) * f32((tick + self.ticks // 4) % self.ticks))))
         elif self.recipe == 9:
             a = f32(radians(self.tick_degrees * tick))
         elif self.recipe == APOLLO:
@@ -288,7 +309,7 @@ class Scanner:
         x, y, z = f32(flat * c), f32(flat * s), f32(d * laser.sin_v)
         if self.recipe in FOCAL_POINT:
             z = f32(z + laser.height)
-        return (-x, y, z) if self.recipe == PANDAR_64 else (x, -y, z)
+        return (-x, y, z) if self.recipe in PANDAR_64 else (x, -y, z)
 
     # Recipes 1 to 3
 
@@ -299,7 +320,7 @@ class Scanner:
             return flat * sin(a), flat * cos(a), d * laser.sin_v
         return flat * cos(a), -(flat * sin(a)), d * laser.sin_v
 
-    # Recipes 4 and 18
+    # Recipes 4, 18 and 27
 
     def direction_of_tick(self, tick):
         a = radians(tick * (f32(self.tick_degrees) if self.recipe == ROBOSENSE_EARLY else self.tick_degrees))
@@ -310,6 +331,9 @@ class Scanner:
         c0, s0 = self.of_tick(self.direction_of_tick, tick)
         flat = f32(d * laser.cos_v)
         along = f32(self.along)
+        if self.recipe == ROBOSENSE_FUSED:
+            x = fma(along, c0, f32(flat * c))
+            return x, fma(-flat, s, -f32(along * s0)), fma(d, laser.sin_v, f32(self.up))
         x = f32(f32(flat * c) + f32(along * c0))
         y = f32(f32(-flat * s) - f32(along * s0))
         return x, y, f32(f32(d * laser.sin_v) + f32(self.up))
@@ -323,6 +347,30 @@ class Scanner:
         x = flat * sin(p) + self.along * sin(q)
         y = flat * cos(p) + self.along * cos(q)
         return x, y, d * laser.sin_v + self.up
+
+    # Recipes 23 to 25
+
+    def angle_of_tick(self, tick):
+        if self.recipe == HESAI_GENERAL_SDK:
+            a = f32(tick * pi / (0.5 * self.ticks))
+            return self.cosine(a), self.sine(a)
+        a = f32(f32(f32(tick) / f32(0.5 * self.ticks)) * pi)
+        return cos(a), sin(a)
+
+    def hesai_general_sdk(self, laser, tick, d):
+        c, s = self.of_tick(self.angle_of_tick, (tick + laser.turned) % self.ticks)
+        flat = f32(d * laser.cos_v)
+        return f32(flat * s), f32(flat * c), f32(d * laser.sin_v)
+
+    def hesai_sdk_2(self, laser, tick, d):
+        a = fine_angle((tick * FINE_TICKS // self.ticks + laser.turned) % FINE_TICKS)
+        flat = f32(d * laser.cos_v)
+        return f32(flat * sin_single(a)), f32(flat * cos_single(a)), f32(d * laser.sin_v)
+
+    def ros_rslidar(self, laser, tick, d):
+        c, s = self.of_tick(self.angle_of_tick, (tick + laser.turned) % self.ticks)
+        flat = d * laser.cos_v
+        return flat * c, -(flat * s), d * laser.sin_v
 
     # Recipes 11, 12 and 17
 

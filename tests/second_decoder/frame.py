@@ -21,7 +21,7 @@ from models import TAU, f32
 from points import Points
 from ranges import Deep, Mixed
 from residual import BACK_ENDS
-from scanner import LATTICE, MILLIMETRE, Grid, bits_of_float, float_of_bits, from_ordered, ordered
+from scanner import LATTICE, MILLIMETRE, Grid, bits_of_float, float_of_bits, of_rank, rank
 from trigonometry import atan2, cos, sin
 
 OF_FORMULA, AS_FORMULA, ON_GRID = 1, 2, 3
@@ -443,7 +443,7 @@ def mover(motion):
 
 
 def put_right(position, units):
-    return tuple(from_ordered(wrap(ordered(v) + u, 64)) for v, u in zip(position, units))
+    return tuple(of_rank(wrap(rank(v) + u, 64)) for v, u in zip(position, units))
 
 
 def compensated(reader, positions):

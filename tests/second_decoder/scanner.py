@@ -31,13 +31,13 @@ def exponent(v):
     return (struct.unpack("<Q", struct.pack("<d", v))[0] >> 52 & 0x7FF) - 1023
 
 
-def ordered(v):
+def rank(v):
     """Of a float32, as its bits."""
     key = v ^ 0xFFFFFFFF if v >> 31 else v | 0x80000000
     return key - 0x80000000
 
 
-def from_ordered(unit):
+def of_rank(unit):
     """The bits of a float32."""
     key = unit + 0x80000000 & 0xFFFFFFFF
     return key - 0x80000000 if key >> 31 else key ^ 0xFFFFFFFF
@@ -77,7 +77,7 @@ class Grid:
         if isnan(metres):
             return 0
         if self.kind == FLOAT32:
-            return ordered(bits_of_float(f32(metres)))
+            return rank(bits_of_float(f32(metres)))
         if self.kind == DIGITS:
             return self.decimal_unit(metres)
         if self.kind == HALF:
@@ -107,7 +107,7 @@ class Grid:
 
     def value(self, unit, formula):
         if self.kind == FLOAT32:
-            return from_ordered(unit)
+            return of_rank(unit)
         if unit == 0:
             if isnan(formula):
                 return 0
@@ -239,8 +239,8 @@ class Scanner:
         tick_degrees = 360 / self.ticks
         degrees = 180 / (TAU / 2)
         e = beam.b / beam.cos_v
-        beam.sine = float_of_bits(from_ordered(ordered(bits_of_float(f32(beam.sin_v))) + sine))
-        beam.cosine = float_of_bits(from_ordered(ordered(bits_of_float(f32(beam.cos_v))) + cosine))
+        beam.sine = float_of_bits(of_rank(rank(bits_of_float(f32(beam.sin_v))) + sine))
+        beam.cosine = float_of_bits(of_rank(rank(bits_of_float(f32(beam.cos_v))) + cosine))
         beam.offset = e + offset * 2.0**-40
         beam.height = (beam.c - e * beam.sin_v) + height * 2.0**-40
         beam.side = beam.h + side * 2.0**-40

@@ -28,7 +28,7 @@ from models import (
     squash,
 )
 from layout import F32
-from scanner import MILLIMETRE, bits_of_float, float_of_bits, from_ordered, ordered
+from scanner import MILLIMETRE, bits_of_float, float_of_bits, of_rank, rank
 from values import Scale as RoughScale
 
 
@@ -611,7 +611,7 @@ class Blanks:
                 continue
             if kind == 3:
                 position = tuple(
-                    from_ordered(ordered(v) + unzigzag(model.code(bits)))
+                    of_rank(rank(v) + unzigzag(model.code(bits)))
                     for v, model in zip(kept[last], self.differences)
                 )
                 last = 1 - last

@@ -6,7 +6,7 @@ from math import isnan, sqrt
 from entropy import AdaptiveBit, Bits, adaptive, integers, unzigzag, wrap
 from errors import Refused
 from models import f32
-from scanner import bits_of_float, float_of_bits, from_ordered, ordered
+from scanner import bits_of_float, float_of_bits, of_rank, rank
 from trigonometry import cos, sin
 
 SLOTS = 32
@@ -141,6 +141,6 @@ def moved(reader, positions):
                 last = steps, units
         position = world.in_file(g, steps, position)
         if any(units):
-            position = tuple(from_ordered(wrap(ordered(v) + u, 64)) for v, u in zip(position, units))
+            position = tuple(of_rank(wrap(rank(v) + u, 64)) for v, u in zip(position, units))
         found.append(position)
     return found

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use crate::cli::table;
-use crate::container::{Group, ScannerId, ScannerRecord};
+use crate::container::{CodedFrame, Group, ScannerId, ScannerRecord};
 use crate::frame::decoder::{Explained, GroupDecoder};
 use crate::frame::{FrameParameters, PositionFidelity, StageReport};
 use crate::ground::error::{Error, Limits, Result};
@@ -20,7 +20,7 @@ pub struct KnownScanners {
 struct KnownScanner {
     id: ScannerId,
     scanner: Scanner,
-    /// How well it explains its first exactly coded scan, once there was one.
+    /// How well it explains its first exactly coded scan, if there was one.
     first: Option<Explained>,
 }
 
@@ -50,32 +50,34 @@ impl KnownScanners {
         Ok(())
     }
 
-    /// For each scanner without a sample yet, decodes the group's first scan of it, if that is coded exactly.
-    /// `first_frame` is the number of the group's first frame.
+    /// For each scanner without a sample yet, decodes the group's first scan of which it explains a point, if that
+    /// is coded exactly. `first_frame` is the number of the group's first frame.
     ///
     /// # Errors
     /// If it is damaged.
     pub fn sample(&mut self, first_frame: u64, group: &Group, limits: &Limits) -> Result<()> {
         for (track, id) in group.scanners.iter().enumerate() {
             let known = self.known.iter_mut().find(|known| Some(known.id) == *id && known.first.is_none());
-            let mut frames = (first_frame..).zip(&group.frames);
-            let first = frames.find(|(_, frame)| usize::from(frame.header.stamp.track) == track);
-            let (Some(KnownScanner { scanner, first: explained, .. }), Some((number, frame))) =
-                (known, first)
-            else {
-                continue;
-            };
-            let decode = || {
+            let Some(KnownScanner { scanner, first: explained, .. }) = known else { continue };
+            let tracks = (0..=track).map(|place| (place == track).then_some(&*scanner));
+            let mut decoder = GroupDecoder::new(tracks, limits).judging_scanners();
+            let mut decode = |frame: &CodedFrame| {
                 if FrameParameters::of(frame)?.positions != PositionFidelity::Exact {
                     return Ok(None);
                 }
-                let tracks = (0..=track).map(|place| (place == track).then_some(&*scanner));
-                let mut decoder = GroupDecoder::new(tracks, limits).judging_scanners();
-                let decoded =
-                    decoder.decode_frame(&frame.header, &frame.sections, &mut StageReport::default())?;
-                Ok(decoded.explained)
+                let stages = &mut StageReport::default();
+                Ok(decoder.decode_frame(&frame.header, &frame.sections, stages)?.explained)
             };
-            *explained = decode().map_err(|error: Error| error.within_frame(number, &frame.header.name))?;
+            let frames = (first_frame..).zip(&group.frames);
+            for (number, frame) in frames.filter(|(_, frame)| usize::from(frame.header.stamp.track) == track)
+            {
+                let at = |error: Error| error.within_frame(number, &frame.header.name);
+                *explained = decode(frame).map_err(at)?;
+                // Scans of other kinds, which the scanner does not explain, may come before its own.
+                if explained.is_none_or(|explained| explained.in_image > 0) {
+                    break;
+                }
+            }
         }
         Ok(())
     }

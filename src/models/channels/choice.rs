@@ -16,6 +16,8 @@ use crate::scan::ScalarType;
 
 /// Number of records that are coded to choose what predicts them.
 const SAMPLE: usize = 6000;
+/// Fewer records than this do not tell which way suits the next frame.
+const FEWEST: usize = 1000;
 /// At most one in this number of integers may break a rule, if they are wide and above a base, which changes
 /// now and then.
 const FEW_BASES: usize = 64;
@@ -151,11 +153,13 @@ impl ColumnModel {
         let lag = likely_lag(size, values);
         let of_sample = if let Ruled::OfSample(plan) = ruled { Some(plan) } else { None };
         let (mut best, tried) = self.best_way(Integers { lag, ..plain }, of_sample, &part);
+        // A few records, as of a scan that was cut short, tell nothing about the next frame.
+        let tells = part.records() >= FEWEST;
         let tried = Tried { plan: best, bytes: tried as f64 / part.records().max(1) as f64 };
         if let Ruled::OfSome(ruled) = ruled {
             let [of_best, of_ruled] = [best, ruled].map(|plan| self.size_of(&Plan::Integers(plan), column));
             best = if of_ruled < of_best { ruled } else { best };
-            let tried = Some(tried).filter(|tried| tried.plan == best);
+            let tried = Some(tried).filter(|tried| tells && tried.plan == best);
             let bytes = of_best.min(of_ruled);
             return Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried };
         }
@@ -175,7 +179,7 @@ impl ColumnModel {
         {
             return Choice { plan, bytes, is_sure: false, tried: None };
         }
-        Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried: Some(tried) }
+        Choice { plan: Plan::Integers(best), bytes, is_sure: false, tried: tells.then_some(tried) }
     }
 
     /// The plans by neighbours that may take the fewest bytes: the better one for a part of the records, or

@@ -4,7 +4,7 @@
 use std::f64::consts::PI;
 
 use super::Laser;
-use super::recipe::{Axes, Origin, Recipe, SumPrecision, radians};
+use super::recipe::{Axes, FINE_TICKS, Origin, Recipe, SumPrecision, radians};
 use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
 use crate::ground::rounding::round_ties_even;
@@ -25,6 +25,8 @@ pub(super) enum TurnTable {
     /// Degrees per tick, because the recipe adds a laser's offset before it takes the cosine; and cosine and
     /// sine without an offset.
     Degrees(f64, LazyTable<[f64; 2]>),
+    /// Number of ticks: [`Recipe::HesaiSdk2`] has so many angles that its tables are not stored.
+    Fine(u32),
 }
 
 impl TurnTable {
@@ -48,14 +50,24 @@ impl TurnTable {
                 let angle = move |t: u32| tick as f32 * t as f32 * DEGREE;
                 TurnTable::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
-            Recipe::Pandar64 => {
-                let quarter = ticks / 4;
-                let angle = move |t: u32| ((t + quarter) % ticks) as f32 * (tick * PI / 180.0) as f32;
+            Recipe::Pandar64 | Recipe::Pandar64InDegrees => {
+                let later = move |t: u32| ((t + ticks / 4) % ticks) as f32;
+                let angle = move |t: u32| match recipe {
+                    Recipe::Pandar64 => later(t) * (tick * PI / 180.0) as f32,
+                    _ => radians(f64::from(tick as f32 * later(t))) as f32,
+                };
                 TurnTable::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
             }
-            Recipe::RoboSense => TurnTable::Tables(LazyTable::new(ticks, move |t| {
-                single_cos_sin(radians(f64::from(t) * tick))
-            })),
+            Recipe::HesaiGeneralSdk => {
+                let angle = move |t: u32| (f64::from(t) * PI / (0.5 * f64::from(ticks))) as f32;
+                TurnTable::Tables(LazyTable::new(ticks, move |t| recipe.cos_sin(angle(t))))
+            }
+            Recipe::HesaiSdk2 => TurnTable::Fine(ticks),
+            Recipe::RoboSense | Recipe::RoboSenseFused => {
+                TurnTable::Tables(LazyTable::new(ticks, move |t| {
+                    single_cos_sin(radians(f64::from(t) * tick))
+                }))
+            }
             Recipe::RoboSenseEarly => {
                 TurnTable::Tables(LazyTable::new(ticks, move |t| single_cos_sin(early_radians(t, ticks))))
             }
@@ -68,6 +80,7 @@ impl TurnTable {
             _ => {
                 let radians = move |t: u32| match recipe {
                     Recipe::LsLidar => f64::from(t) * tick * LS_DEGREE,
+                    Recipe::RosRslidar => f64::from((f64::from(t as f32 / (0.5 * ticks as f32)) * PI) as f32),
                     _ => radians(f64::from(t) * tick),
                 };
                 TurnTable::Degrees(tick, LazyTable::new(ticks, move |t| cos_sin(radians(t))))
@@ -82,6 +95,11 @@ fn cos_sin(radians: f64) -> [f64; 2] {
 
 fn single_cos_sin(radians: f64) -> [f32; 2] {
     cos_sin(radians).map(|value| value as f32)
+}
+
+/// Cosine and sine of an angle of [`Recipe::HesaiSdk2`], in parts of a turn.
+fn fine_cos_sin(angle: u32) -> [f32; 2] {
+    single_cos_sin(f64::from(angle) * 2.0 * PI / f64::from(FINE_TICKS))
 }
 
 /// The angle of a tick in RoboSense's early driver.
@@ -106,8 +124,15 @@ pub(super) enum Arithmetic {
     },
     /// Cosine and sine of the elevation; the azimuth offset in degrees, and its cosine and sine.
     Double { cos_v: f64, sin_v: f64, offset: f64, offsets: [f64; 2], axes: Axes, single_range: bool },
-    /// Cosine and sine of the elevation; the azimuth offset in ticks; metres from the axis and up.
-    Tables { cos_v: f32, sin_v: f32, turned: u32, along: f32, up: f32 },
+    /// Cosine and sine of the elevation; the azimuth offset in ticks; metres from the axis and up; whether sums are
+    /// rounded once, with their products.
+    Tables { cos_v: f32, sin_v: f32, turned: u32, along: f32, up: f32, is_fused: bool },
+    /// Cosine and sine of the elevation; the azimuth offset in ticks.
+    Hesai { cos_v: f32, sin_v: f32, turned: u32 },
+    /// Cosine and sine of the elevation; the azimuth offset in parts of a turn ([`FINE_TICKS`]).
+    Fine { cos_v: f32, sin_v: f32, turned: u32 },
+    /// As `Hesai`, in double precision.
+    RosRslidar { cos_v: f64, sin_v: f64, turned: u32 },
     /// As `Tables`, in double precision; also the azimuth offset in degrees, and its cosine and sine.
     Ls { cos_v: f64, sin_v: f64, turned: u32, offset: f64, offsets: [f64; 2], along: f64, up: f64 },
     /// Cosine and sine of the elevation; the azimuth offset, to be added to the angle of the tick in radians
@@ -122,22 +147,25 @@ impl Arithmetic {
     pub fn new(recipe: Recipe, laser: &Laser, origin: Origin, ticks: u32) -> Self {
         let elevation = radians(laser.elevation_degrees());
         let [along, up] = origin.metres();
-        let in_ticks = |degrees: f64| {
-            let whole = round_ties_even(degrees / 360.0 * f64::from(ticks)) as i64;
-            whole.rem_euclid(i64::from(ticks)) as u32
+        let in_parts = |degrees: f64, parts: u32| {
+            let whole = round_ties_even(degrees / 360.0 * f64::from(parts)) as i64;
+            whole.rem_euclid(i64::from(parts)) as u32
         };
+        let in_ticks = |degrees: f64| in_parts(degrees, ticks);
         let turned = in_ticks(laser.azimuth_degrees());
         match recipe {
             Recipe::VelodyneRos
             | Recipe::VelodyneRosGlibc
             | Recipe::NebulaVelodyne
             | Recipe::Pandar64
+            | Recipe::Pandar64InDegrees
             | Recipe::Apollo => {
                 let [cos_v, sin_v] = recipe.cos_sin(elevation as f32);
                 // These drivers turn back by their constants, where the formula here adds them.
                 let offset = radians(-laser.azimuth_degrees()) as f32;
                 let offset = (laser.azimuth != 0).then(|| recipe.cos_sin(offset));
-                let (is_turned, in_double) = (recipe == Recipe::Pandar64, recipe == Recipe::Apollo);
+                let is_turned = matches!(recipe, Recipe::Pandar64 | Recipe::Pandar64InDegrees);
+                let in_double = recipe == Recipe::Apollo;
                 Arithmetic::Single { cos_v, sin_v, offset, is_turned, in_double, up: None }
             }
             Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => {
@@ -162,13 +190,28 @@ impl Arithmetic {
                 offsets: cos_sin(radians(laser.azimuth_degrees())),
                 axes: recipe.axes(),
             },
-            Recipe::RoboSense | Recipe::RoboSenseEarly => {
+            Recipe::RoboSense | Recipe::RoboSenseEarly | Recipe::RoboSenseFused => {
                 let elevation = match recipe {
-                    Recipe::RoboSense => elevation,
-                    _ => early_radians(in_ticks(laser.elevation_degrees()), ticks),
+                    Recipe::RoboSenseEarly => early_radians(in_ticks(laser.elevation_degrees()), ticks),
+                    _ => elevation,
                 };
                 let [cos_v, sin_v] = single_cos_sin(elevation);
-                Arithmetic::Tables { cos_v, sin_v, turned, along: along as f32, up: up as f32 }
+                let is_fused = recipe == Recipe::RoboSenseFused;
+                Arithmetic::Tables { cos_v, sin_v, turned, along: along as f32, up: up as f32, is_fused }
+            }
+            Recipe::HesaiGeneralSdk => {
+                let [cos_v, sin_v] = recipe.cos_sin(elevation as f32);
+                Arithmetic::Hesai { cos_v, sin_v, turned }
+            }
+            Recipe::HesaiSdk2 => {
+                let [elevation, turned] = [laser.elevation_degrees(), laser.azimuth_degrees()]
+                    .map(|degrees| in_parts(degrees, FINE_TICKS));
+                let [cos_v, sin_v] = fine_cos_sin(elevation);
+                Arithmetic::Fine { cos_v, sin_v, turned }
+            }
+            Recipe::RosRslidar => {
+                let [cos_v, sin_v] = cos_sin(f64::from(elevation as f32));
+                Arithmetic::RosRslidar { cos_v, sin_v, turned }
             }
             Recipe::LsLidar => {
                 let elevation = laser.elevation_degrees() * LS_DEGREE;
@@ -222,7 +265,8 @@ impl Arithmetic {
                 self.sum(turn, tick, single.into())
             }
             Arithmetic::Sum { .. } => self.sum(turn, tick, double),
-            Arithmetic::Double { .. } | Arithmetic::Ls { .. } => {
+            Arithmetic::Hesai { .. } | Arithmetic::Fine { .. } => self.hesai(turn, tick, double),
+            Arithmetic::Double { .. } | Arithmetic::Ls { .. } | Arithmetic::RosRslidar { .. } => {
                 let metres = self.metres(steps, range_step_um);
                 self.double_by_table(turn, tick, metres)
                     .unwrap_or_else(|| self.double(turn, tick, metres).map(|v| v as f32))
@@ -279,7 +323,7 @@ impl Arithmetic {
     /// they are rounded.
     pub fn unrounded(&self, turn: &TurnTable, tick: u32, steps: u32, range_step_um: u32) -> [f64; 3] {
         match self {
-            Arithmetic::Double { .. } | Arithmetic::Ls { .. } => {
+            Arithmetic::Double { .. } | Arithmetic::Ls { .. } | Arithmetic::RosRslidar { .. } => {
                 self.double(turn, tick, self.metres(steps, range_step_um))
             }
             _ => self.position(turn, tick, steps, range_step_um).map(f64::from),
@@ -306,7 +350,9 @@ impl Arithmetic {
     fn metres(&self, steps: u32, range_step_um: u32) -> f64 {
         let step = f64::from(range_step_um) * 1e-6;
         match self {
-            Arithmetic::Double { single_range: true, .. } => f64::from(steps as f32 * step as f32),
+            Arithmetic::Double { single_range: true, .. } | Arithmetic::RosRslidar { .. } => {
+                f64::from(steps as f32 * step as f32)
+            }
             _ => f64::from(steps) * step,
         }
     }
@@ -331,6 +377,7 @@ impl Arithmetic {
                     (metres * sin_v + up) as f32,
                 ])
             }
+            Arithmetic::RosRslidar { .. } => Some(self.double(turn, tick, metres).map(|value| value as f32)),
             _ => None,
         }
     }
@@ -438,12 +485,17 @@ impl Arithmetic {
     /// The coordinates of any range, in metres.
     pub fn position_at(&self, turn: &TurnTable, tick: u32, metres: f64) -> [f64; 3] {
         match self {
-            Arithmetic::Double { .. } | Arithmetic::Ls { .. } => self.double(turn, tick, metres),
+            Arithmetic::Double { .. } | Arithmetic::Ls { .. } | Arithmetic::RosRslidar { .. } => {
+                self.double(turn, tick, metres)
+            }
             Arithmetic::Ouster { .. } => {
                 let [direction, start] = self.ray(turn, tick);
                 [0, 1, 2].map(|axis| metres * 1e3 * direction[axis] + start[axis])
             }
             Arithmetic::Sum { .. } => self.sum(turn, tick, metres).map(f64::from),
+            Arithmetic::Hesai { .. } | Arithmetic::Fine { .. } => {
+                self.hesai(turn, tick, metres).map(f64::from)
+            }
             _ => self.single(turn, tick, metres as f32).map(f64::from),
         }
     }
@@ -454,7 +506,7 @@ impl Arithmetic {
         let angle = match turn {
             TurnTable::Angles(angles) => *angles.get(tick) + offset as f32,
             TurnTable::Degrees(degrees, _) => radians(offset + f64::from(tick) / (1.0 / degrees)) as f32,
-            TurnTable::Tables(_) => return [0.0; 3],
+            TurnTable::Tables(_) | TurnTable::Fine(_) => return [0.0; 3],
         };
         let [cos, sin] = recipe.cos_sin(angle);
         let single = metres as f32;
@@ -471,6 +523,24 @@ impl Arithmetic {
         [flat * sin, flat * cos, metres * sin_v].map(|metres| metres as f32)
     }
 
+    /// The coordinates by the recipes of Hesai's own programs.
+    fn hesai(&self, turn: &TurnTable, tick: u32, metres: f64) -> [f32; 3] {
+        match (self, turn) {
+            (Arithmetic::Hesai { cos_v, sin_v, turned }, TurnTable::Tables(table)) => {
+                let [cos, sin] = *table.get((tick + turned) % table.len());
+                let flat = (metres * f64::from(*cos_v)) as f32;
+                [flat * sin, flat * cos, (metres * f64::from(*sin_v)) as f32]
+            }
+            (Arithmetic::Fine { cos_v, sin_v, turned }, TurnTable::Fine(ticks)) => {
+                let parts = u64::from(tick) * u64::from(FINE_TICKS) / u64::from(*ticks) + u64::from(*turned);
+                let [cos, sin] = fine_cos_sin((parts % u64::from(FINE_TICKS)) as u32);
+                let (single, flat) = (metres as f32, metres as f32 * cos_v);
+                [flat * sin, flat * cos, single * sin_v]
+            }
+            _ => [0.0; 3],
+        }
+    }
+
     /// The coordinates computed in single precision.
     #[inline(always)]
     fn single(&self, turn: &TurnTable, tick: u32, metres: f32) -> [f32; 3] {
@@ -478,11 +548,18 @@ impl Arithmetic {
             (Arithmetic::Single { .. }, TurnTable::Tables(table)) => {
                 Self::singles(&[self], table, [tick], [metres]).map(|[value]| value)
             }
-            (Arithmetic::Tables { cos_v, sin_v, turned, along, up }, TurnTable::Tables(table)) => {
+            (Arithmetic::Tables { cos_v, sin_v, turned, along, up, is_fused }, TurnTable::Tables(table)) => {
                 let [cos, sin] = *table.get((tick + turned) % table.len());
                 let [cos_t, sin_t] = *table.get(tick);
                 let flat = metres * cos_v;
-                [flat * cos + along * cos_t, -flat * sin - along * sin_t, metres * sin_v + up]
+                match is_fused {
+                    true => [
+                        libm::fmaf(*along, cos_t, flat * cos),
+                        libm::fmaf(-flat, sin, -(along * sin_t)),
+                        libm::fmaf(metres, *sin_v, *up),
+                    ],
+                    false => [flat * cos + along * cos_t, -flat * sin - along * sin_t, metres * sin_v + up],
+                }
             }
             _ => [0.0; 3],
         }
@@ -551,6 +628,11 @@ impl Arithmetic {
                     flat * libm::cos(turned) + along * libm::cos(start),
                     metres * sin_v + up,
                 ]
+            }
+            Arithmetic::RosRslidar { cos_v, sin_v, turned } => {
+                let [cos, sin] = *table.get((tick + turned) % table.len());
+                let flat = metres * cos_v;
+                [flat * cos, -(flat * sin), metres * sin_v]
             }
             _ => [0.0; 3],
         }
@@ -638,7 +720,9 @@ mod tests {
     fn written_out(arithmetic: &Arithmetic, turn: &TurnTable, tick: u32, steps: u32, um: u32) -> [f32; 3] {
         let step = f64::from(um) * 1e-6;
         let metres = match arithmetic {
-            Arithmetic::Double { single_range: true, .. } => f64::from(steps as f32 * step as f32),
+            Arithmetic::Double { single_range: true, .. } | Arithmetic::RosRslidar { .. } => {
+                f64::from(steps as f32 * step as f32)
+            }
             Arithmetic::Ouster { .. } => {
                 return arithmetic.ouster(turn, tick, f64::from(steps) * (f64::from(um) * 1e-3));
             }

@@ -798,7 +798,7 @@ fn angles(
     }
     let radians = round_ties_even((near as f64 * ANGLE_UNIT).to_radians() * 1e4) * 1e-4;
     try_all(&mut best, &mut std::iter::once((radians.to_degrees() / ANGLE_UNIT).round() as i64));
-    if recipe == Recipe::Pandar64 {
+    if matches!(recipe, Recipe::Pandar64 | Recipe::Pandar64InDegrees) {
         let short = round_ties_even(near as f64 * ANGLE_UNIT * 1e3 / SHORT_PI) * 1e-3 * SHORT_PI;
         try_all(&mut best, &mut std::iter::once((short / ANGLE_UNIT).round() as i64));
     }

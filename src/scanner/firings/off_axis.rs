@@ -141,11 +141,15 @@ impl ScanFacts<'_> {
             };
             let usual = of_recipe(maker.recipe)?;
             let (_, exact, placed) = usual;
-            let early = (maker.recipe == Recipe::RoboSense && 2 * exact < placed)
-                .then(|| of_recipe(Recipe::RoboSenseEarly))
-                .flatten()
-                .filter(|(_, early, _)| *early > exact && (!are_moved || 10 * early > placed));
-            Some(early.unwrap_or(usual))
+            let others: &[Recipe] = match maker.recipe {
+                Recipe::RoboSense if 2 * exact < placed => &[Recipe::RoboSenseEarly, Recipe::RoboSenseFused],
+                // Fused operations change only some of the last bits.
+                Recipe::RoboSense if 20 * exact < 19 * placed => &[Recipe::RoboSenseFused],
+                _ => &[],
+            };
+            let better = others.iter().filter_map(|recipe| of_recipe(*recipe));
+            let better = better.filter(|(_, other, _)| *other > exact && (!are_moved || 10 * other > placed));
+            Some(better.max_by_key(|(_, other, _)| *other).unwrap_or(usual))
         });
         let candidates: Vec<(Firings, usize, usize)> = candidates.collect();
         // A scanner that reproduces no more than one point in ten is rejected.

@@ -71,6 +71,18 @@ pub enum Recipe {
     NebulaApril2023 = 21,
     /// As `NebulaApril2023`, for the Pandar40P: so are ranges.
     NebulaApril2023Pandar40 = 22,
+    /// Hesai's General SDK and the ROS driver built on it, for the Pandar20, 40P, 64, QT and XT: ranges in double
+    /// precision, glibc's cosine and sine, offsets in whole ticks, y ahead, azimuth clockwise.
+    HesaiGeneralSdk = 23,
+    /// Hesai's SDK 2: single precision, angles in 1/256 of a hundredth of a degree, y ahead, azimuth clockwise.
+    HesaiSdk2 = 24,
+    /// RoboSense's `ros_rslidar`, before `rs_driver`: ranges and angles in single precision, all else in double
+    /// precision, rounded once; x ahead, azimuth clockwise.
+    RosRslidar = 25,
+    /// As `Pandar64`, with angles of ticks as `VelodyneRos` has them: another version of the driver.
+    Pandar64InDegrees = 26,
+    /// As `RoboSense`, compiled for a processor with fused multiplication and addition, such as ARM64.
+    RoboSenseFused = 27,
 }
 
 /// Axes of the coordinates.
@@ -82,7 +94,7 @@ pub(super) enum Axes {
 
 impl Recipe {
     /// Every recipe, in the order in which the fit tries them.
-    pub const ALL: [Recipe; 23] = [
+    pub const ALL: [Recipe; 28] = [
         Recipe::VelodyneRos,
         Recipe::DoubleYAhead,
         Recipe::DoubleXAhead,
@@ -106,6 +118,11 @@ impl Recipe {
         Recipe::NebulaJune2023Pandar40,
         Recipe::NebulaApril2023,
         Recipe::NebulaApril2023Pandar40,
+        Recipe::HesaiGeneralSdk,
+        Recipe::HesaiSdk2,
+        Recipe::RosRslidar,
+        Recipe::Pandar64InDegrees,
+        Recipe::RoboSenseFused,
     ];
 
     /// The recipe of this number in the stream.
@@ -172,7 +189,10 @@ impl Recipe {
 
     /// Whether it rounds sums of angles, or of products of their cosines and sines, to single precision.
     pub(super) fn adds_in_single(self) -> bool {
-        !matches!(self, Recipe::DoubleYAhead | Recipe::DoubleXAhead | Recipe::SingleRangeXAhead)
+        !matches!(
+            self,
+            Recipe::DoubleYAhead | Recipe::DoubleXAhead | Recipe::SingleRangeXAhead | Recipe::RosRslidar
+        )
     }
 
     /// The program, as a description; no two are alike.
@@ -200,6 +220,11 @@ impl Recipe {
             Recipe::VelodyneRosGlibc => "arithmetic of ROS velodyne_pointcloud with glibc",
             Recipe::NebulaVelodyne => "arithmetic of Autoware's nebula for Velodyne",
             Recipe::Pandar64 => "arithmetic of a ROS driver of the Pandar64",
+            Recipe::Pandar64InDegrees => "arithmetic of a ROS driver of the Pandar64, angles in degrees",
+            Recipe::HesaiGeneralSdk => "arithmetic of Hesai's General SDK",
+            Recipe::HesaiSdk2 => "arithmetic of Hesai's SDK 2",
+            Recipe::RosRslidar => "arithmetic of RoboSense's ros_rslidar",
+            Recipe::RoboSenseFused => "arithmetic of RoboSense's rs_driver with fused multiplication (ARM64)",
             Recipe::Ouster => "arithmetic of Ouster's SDK",
             Recipe::OusterRos => "arithmetic of Ouster's ROS driver",
             Recipe::OusterEarly => "arithmetic of Ouster's ROS driver of 2021",
@@ -219,6 +244,8 @@ impl Recipe {
             | Recipe::SingleRangeXAhead
             | Recipe::RoboSense
             | Recipe::RoboSenseEarly
+            | Recipe::RoboSenseFused
+            | Recipe::RosRslidar
             | Recipe::Ouster
             | Recipe::OusterRos
             | Recipe::OusterEarly
@@ -234,6 +261,9 @@ impl Recipe {
             | Recipe::NebulaApril2023
             | Recipe::NebulaApril2023Pandar40
             | Recipe::Pandar64
+            | Recipe::Pandar64InDegrees
+            | Recipe::HesaiGeneralSdk
+            | Recipe::HesaiSdk2
             | Recipe::Once => Axes::YAhead,
         }
     }
@@ -245,7 +275,8 @@ impl Recipe {
             Recipe::VelodyneRosGlibc
             | Recipe::NebulaVelodyne
             | Recipe::VelodyneDecoder
-            | Recipe::VelodyneDecoderHdl32e => [glibc::cosf(radians), glibc::sinf(radians)],
+            | Recipe::VelodyneDecoderHdl32e
+            | Recipe::HesaiGeneralSdk => [glibc::cosf(radians), glibc::sinf(radians)],
             _ if self.sum().is_some() => [glibc::cosf(radians), glibc::sinf(radians)],
             _ => [libm::cos(f64::from(radians)) as f32, libm::sin(f64::from(radians)) as f32],
         }
@@ -263,7 +294,11 @@ impl Recipe {
             | Recipe::VelodyneRosGlibc
             | Recipe::NebulaVelodyne
             | Recipe::Pandar64
+            | Recipe::Pandar64InDegrees
+            | Recipe::HesaiGeneralSdk
+            | Recipe::RosRslidar
             | Recipe::Apollo => ulp(radians(degrees)).to_degrees(),
+            Recipe::HesaiSdk2 => 360.0 / f64::from(FINE_TICKS),
             Recipe::VelodyneDecoder | Recipe::VelodyneDecoderHdl32e => ulp(degrees),
             _ if self.sum().is_some() => ulp(degrees),
             _ => 1e-7,
@@ -285,6 +320,9 @@ impl Recipe {
         }
     }
 }
+
+/// Angles in a turn in the tables of [`Recipe::HesaiSdk2`].
+pub(super) const FINE_TICKS: u32 = 36_000 * 256;
 
 /// Degrees in radians, by the operations that most programs use.
 pub(super) fn radians(degrees: f64) -> f64 {
