@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use super::scan::Scan;
 use super::settings::Settings;
-use crate::container::Stamp;
+use crate::container::{FrameKind, Stamp, TRACKS_MAX};
 use crate::frame::settings::EncoderConfig;
-use crate::ground::error::{Error, Result};
+use crate::ground::error::{Error, Limits, Result};
 use crate::stream::FrameInput;
 use crate::stream::encoder::{
     EncodedGroup, MOST_WAITING, MessageCoder, OpenStream, SequenceCoder, may_show_scanner,
@@ -81,11 +81,18 @@ impl<W: Write> Encoder<W> {
     /// it has the group encoded.
     ///
     /// # Errors
-    /// If this scan, or an earlier one, exceeds the limits that every decoder has, or has a name that not
-    /// every system can restore; if the output fails. The stream cannot be finished then.
+    /// If this scan exceeds the limits that every decoder has, or has a name that not every system can restore:
+    /// it is refused, and the encoder takes further scans. If the output fails, or an earlier scan cannot be
+    /// encoded, the stream cannot be finished.
     pub fn push(&mut self, scan: Scan) -> Result<()> {
+        let points = scan.len() as u64;
         let (scan, stamp) = scan.into_parts();
-        self.open.push(FrameInput::scan(scan).stamped(stamp));
+        let input = FrameInput::scan(scan).stamped(stamp);
+        check(&input, points).map_err(|error| match error {
+            Error::At { .. } | Error::Input { .. } => error,
+            other => other.at(input.path()),
+        })?;
+        self.open.push(input);
         if self.open.len() < self.config.gop || self.is_waiting() { Ok(()) } else { self.close_group() }
     }
 
@@ -168,6 +175,17 @@ impl std::fmt::Debug for MessageEncoder {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("MessageEncoder").field("config", self.0.config()).finish_non_exhaustive()
     }
+}
+
+/// Refuses what could not be coded later, together with its group.
+fn check(input: &FrameInput, points: u64) -> Result<()> {
+    let limits = Limits::default();
+    Error::check_fits("tracks", u64::from(input.stamp().track) + 1, TRACKS_MAX)?;
+    if input.stamp().kind == FrameKind::Points {
+        Error::check_fits("points", points, limits.points)?;
+    }
+    Error::check_fits("bytes", input.size()?, limits.file_bytes)?;
+    input.name().map(drop)
 }
 
 fn failed() -> Error {

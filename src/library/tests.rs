@@ -92,6 +92,30 @@ fn a_scan_has_as_many_channels_as_a_record_has_fields() {
 }
 
 #[test]
+fn a_refused_scan_does_not_harm_the_encoder() {
+    let scan = || Scan::from_positions(&[[1.0, 2.0, 3.0]]);
+    let mut stream = Vec::new();
+    let mut encoder = Encoder::new(&mut stream, Settings::exact().with_group_of_pictures(2)).unwrap();
+    encoder.push(scan()).unwrap();
+    for (wrong, part) in [
+        (scan().with_name("aux"), "aux"),
+        (scan().with_name("a\nb"), "a\\nb"),
+        (scan().with_name("../a"), "../a"),
+        (scan().with_track(255), "256 tracks"),
+        (Scan::from_file("", Vec::new()), "name"),
+    ] {
+        let refused = encoder.push(wrong).unwrap_err().to_string();
+        assert!(refused.contains(part) && !refused.contains('\n'), "{part}: {refused}");
+    }
+    let large = Scan::from_positions(&vec![[0.0; 3]; Limits::default().points as usize + 1]);
+    let refused = encoder.push(large).unwrap_err().to_string();
+    assert!(refused.contains("16777217 points"), "{refused}");
+    (0..2).for_each(|_| encoder.push(scan()).unwrap());
+    encoder.finish().unwrap();
+    assert_eq!(decoded(&stream).len(), 3);
+}
+
+#[test]
 fn everything_may_be_sent_to_another_thread() {
     fn assert_send<T: Send>() {}
     assert_send::<Encoder<Vec<u8>>>();
