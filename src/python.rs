@@ -7,16 +7,18 @@
 use std::ffi::OsString;
 use std::fs::File;
 use std::io::{self, Cursor, Read, Seek, SeekFrom, Write};
-use std::sync::{Arc, Mutex};
+use std::ops::Range;
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use numpy::{Element, IntoPyArray, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
-use pyo3::exceptions::{PyKeyError, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyException, PyKeyError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
 
+use crate::files::POSITION;
 use crate::ground::team::locked;
-use crate::library::{Decoder, Encoder, MessageEncoder, Scalar, Scan, Scans, Settings};
+use crate::library::{Decoder, Encoder, FrameInfo, MessageEncoder, Scalar, Scan, Scans, Settings};
 use crate::{Error, ScalarType, cli};
 
 /// The module.
@@ -27,15 +29,19 @@ mod native {
 }
 
 /// The error as a Python exception: its class tells whether the file or its contents are to blame, and its
-/// message names the file and, if known, the frame.
+/// message names the file and, if known, the frame. What a file object raised that is not about the file, such
+/// as `KeyboardInterrupt`, is returned as it is.
 fn raise(error: Error, file: &str, frame: Option<u64>) -> PyErr {
     let (frame, what) = error.about_frame(frame);
     let message = if file.is_empty() { what } else { format!("{file}: {what}") };
-    let (class, cause) = match error {
-        Error::Io(error) => ("InputError", Some(PyErr::from(error))),
-        _ => ("Error", None),
-    };
     Python::attach(|py| {
+        let (class, cause) = match error {
+            Error::Io(error) => ("InputError", Some(PyErr::from(error))),
+            _ => ("Error", None),
+        };
+        if let Some(cause) = cause.as_ref().filter(|cause| !cause.is_instance_of::<PyException>(py)) {
+            return cause.clone_ref(py);
+        }
         let raised = (|| -> PyResult<PyErr> {
             let class = py.import("lidarpc._errors")?.getattr(class)?;
             let file = (!file.is_empty()).then_some(file);
@@ -45,6 +51,41 @@ fn raise(error: Error, file: &str, frame: Option<u64>) -> PyErr {
         raised.set_cause(py, cause);
         raised
     })
+}
+
+/// A value that may have threads of its own, which a forked process lacks. There it is neither used nor dropped:
+/// both could wait forever for such a thread, or for a lock that one held.
+struct OfProcess<T> {
+    /// None only while it is dropped.
+    value: Option<Mutex<T>>,
+    process: u32,
+}
+
+impl<T> OfProcess<T> {
+    fn new(value: T) -> Self {
+        OfProcess { value: Some(Mutex::new(value)), process: std::process::id() }
+    }
+
+    fn is_inherited(&self) -> bool {
+        self.process != std::process::id()
+    }
+
+    /// The value; an error about `what` in a forked process.
+    fn lock(&self, what: &str) -> Result<MutexGuard<'_, T>, Error> {
+        let value = self.value.as_ref().filter(|_| !self.is_inherited());
+        let inherited = || {
+            Error::Usage(format!("{what} before this process was forked: begin a new one in this process"))
+        };
+        value.map(locked).ok_or_else(inherited)
+    }
+}
+
+impl<T> Drop for OfProcess<T> {
+    fn drop(&mut self) {
+        if self.is_inherited() {
+            std::mem::forget(self.value.take());
+        }
+    }
 }
 
 /// The source of a stream's bytes.
@@ -112,7 +153,11 @@ impl Seek for Input {
 /// A stream that is open for reading.
 #[pyclass(frozen, module = "lidarpc._native")]
 struct StreamReader {
-    decoder: Mutex<Decoder<Input>>,
+    /// Is only cloned: it has no threads. As it is locked only with the interpreter's lock held, as forking does,
+    /// it is free in a forked process.
+    index: Mutex<Decoder<Input>>,
+    /// Decodes frames by number, in the process that used it last; locked as `index` is.
+    decoder: Mutex<Arc<OfProcess<Decoder<Input>>>>,
     /// Its name in errors.
     name: String,
     len: u64,
@@ -148,7 +193,8 @@ impl StreamReader {
         let decoder = py.detach(|| Decoder::open(input)).map_err(|error| raise(error, &name, None))?;
         let decoder = decoder.with_threads(threads).with_range_images(range_images);
         let len = decoder.len();
-        Ok(StreamReader { decoder: Mutex::new(decoder), name, len })
+        let by_number = Mutex::new(Arc::new(OfProcess::new(decoder.clone())));
+        Ok(StreamReader { index: Mutex::new(decoder), decoder: by_number, name, len })
     }
 
     fn __len__(&self) -> usize {
@@ -157,42 +203,78 @@ impl StreamReader {
 
     /// The time of each frame in nanoseconds since 1970; the smallest int64 if it has none.
     fn times<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        let times: Vec<i64> = py
-            .detach(|| locked(&self.decoder).frames().map(|frame| frame.time.unwrap_or(i64::MIN)).collect());
+        let decoder = self.clone_decoder(py);
+        let time = |frame: FrameInfo| frame.time.unwrap_or(i64::MIN);
+        let times: Vec<i64> = py.detach(|| decoder.frames().map(time).collect());
         times.into_pyarray(py)
     }
 
     /// The first frame of each group, and the number of frames.
     fn groups(&self, py: Python<'_>) -> Vec<u64> {
-        py.detach(|| locked(&self.decoder).group_borders())
+        let decoder = self.clone_decoder(py);
+        py.detach(|| decoder.group_borders())
     }
 
-    /// The name of each frame. Reads the whole stream, but decodes nothing.
+    /// The name of each frame; empty for frames of damaged groups. Reads the whole stream, but decodes nothing.
     fn names(&self, py: Python<'_>) -> PyResult<Vec<String>> {
-        let details = py.detach(|| locked(&self.decoder).details(..));
-        let details = details.map_err(|error| raise(error, &self.name, None))?;
-        Ok(details.into_iter().map(|frame| frame.name).collect())
+        let mut decoder = self.clone_decoder(py);
+        let names = py.detach(|| match names_of(&mut decoder, 0..self.len) {
+            Err(error) if !matches!(error, Error::Io(_)) => {
+                // Group by group, as only some are damaged. This takes more requests.
+                let borders = decoder.group_borders();
+                let mut names = Vec::new();
+                for (&start, &end) in borders.iter().zip(&borders[1..]) {
+                    match names_of(&mut decoder, start..end) {
+                        Err(error @ Error::Io(_)) => return Err(error),
+                        Err(_) => names.extend((start..end).map(|_| String::new())),
+                        Ok(group) => names.extend(group),
+                    }
+                }
+                Ok(names)
+            }
+            whole => whole,
+        });
+        names.map_err(|error| raise(error, &self.name, None))
     }
 
     /// The frame with this number.
     fn frame(&self, py: Python<'_>, number: u64) -> PyResult<Frame> {
-        let scan = py.detach(|| locked(&self.decoder).scan(number));
+        let decoder = {
+            let mut decoder = locked(&self.decoder);
+            if decoder.is_inherited() {
+                *decoder = Arc::new(OfProcess::new(self.clone_decoder(py)));
+            }
+            Arc::clone(&decoder)
+        };
+        let scan = py.detach(|| decoder.lock("the drive was opened")?.scan(number));
         let scan = scan.map_err(|error| raise(error, &self.name, Some(number)))?;
         Ok(Frame { scan, number })
     }
 
     /// These frames in order, decoded ahead.
     fn frames(&self, py: Python<'_>, start: u64, end: u64) -> FrameIterator {
-        let scans = py.detach(|| locked(&self.decoder).clone().into_scans(start..end));
-        FrameIterator { state: Mutex::new((scans, start)), name: self.name.clone() }
+        let decoder = self.clone_decoder(py);
+        let scans = py.detach(|| decoder.into_scans(start..end));
+        FrameIterator { state: OfProcess::new((scans, start)), name: self.name.clone() }
     }
+}
+
+impl StreamReader {
+    /// A decoder without threads; `_py` shows that the interpreter's lock is held.
+    fn clone_decoder(&self, _py: Python<'_>) -> Decoder<Input> {
+        locked(&self.index).clone()
+    }
+}
+
+fn names_of(decoder: &mut Decoder<Input>, frames: Range<u64>) -> Result<Vec<String>, Error> {
+    Ok(decoder.details(frames)?.into_iter().map(|frame| frame.name).collect())
 }
 
 /// Frames in order.
 #[pyclass(frozen, module = "lidarpc._native")]
 struct FrameIterator {
     /// The scans, and the number of the next.
-    state: Mutex<(Scans<'static>, u64)>,
+    state: OfProcess<(Scans<'static>, u64)>,
     name: String,
 }
 
@@ -203,12 +285,13 @@ impl FrameIterator {
     }
 
     fn __next__(&self, py: Python<'_>) -> PyResult<Option<Frame>> {
-        let (scan, number) = py.detach(|| {
-            let (scans, next) = &mut *locked(&self.state);
+        let next = py.detach(|| {
+            let (scans, next) = &mut *self.state.lock("the iteration was begun")?;
             let number = *next;
             *next += 1;
-            (scans.next(), number)
+            Ok((scans.next(), number))
         });
+        let (scan, number) = next.map_err(|error| raise(error, &self.name, None))?;
         let scan = scan.transpose().map_err(|error| raise(error, &self.name, Some(number)))?;
         Ok(scan.map(|scan| Frame { scan, number }))
     }
@@ -251,14 +334,6 @@ fn array_of<'py, T: Scalar + Element>(
     if count == 1 { Ok(array.into_any()) } else { Ok(array.reshape([scan.len(), count])?.into_any()) }
 }
 
-/// x, y and z of files that do not store them as float32, side by side.
-fn stacked<'py, T: Scalar + Element>(py: Python<'py>, scan: &Scan) -> PyResult<Bound<'py, PyAny>> {
-    let column = |name| scan.channel::<T>(name).map_err(|error| raise(error, "", None));
-    let (x, y, z) = (column("x")?, column("y")?, column("z")?);
-    let points: Vec<T> = (0..scan.len()).flat_map(|point| [x[point], y[point], z[point]]).collect();
-    Ok(points.into_pyarray(py).reshape([scan.len(), 3])?.into_any())
-}
-
 #[pymethods]
 impl Frame {
     #[getter]
@@ -287,28 +362,28 @@ impl Frame {
 
     #[getter]
     fn fields(&self) -> Vec<String> {
-        let position = ["x", "y", "z"].into_iter().filter(|_| self.scan.has_positions());
-        position.chain(self.scan.channels().map(|channel| channel.name)).map(str::to_owned).collect()
+        let position = POSITION.into_iter().filter(|_| self.scan.has_positions());
+        // A file may have a second field named x, which `[]` does not return.
+        let is_other = |name: &&str| !(self.scan.has_positions() && POSITION.contains(name));
+        let others = self.scan.channels().map(|channel| channel.name).filter(is_other);
+        position.chain(others).map(str::to_owned).collect()
     }
 
     fn __contains__(&self, name: &str) -> bool {
         self.fields().iter().any(|field| field == name)
     }
 
-    #[getter]
-    fn xyz<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        if self.scan.has_positions() {
-            let positions = self.scan.positions().as_flattened().to_vec();
-            return Ok(positions.into_pyarray(py).reshape([self.scan.len(), 3])?.into_any());
+    /// None if the file does not store x, y and z as float32.
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        if !self.scan.has_positions() {
+            return Ok(None);
         }
-        let x = self.scan.channels().find(|channel| channel.name == "x");
-        let scalar = x.map(|channel| channel.scalar);
-        let scalar = scalar.ok_or_else(|| PyKeyError::new_err("the frame has no position: see `fields`"))?;
-        with_type!(scalar, stacked(py, &self.scan))
+        let positions = self.scan.positions().as_flattened().to_vec();
+        Ok(Some(positions.into_pyarray(py).reshape([self.scan.len(), 3])?.into_any()))
     }
 
     fn __getitem__<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
-        let axis = ["x", "y", "z"].into_iter().position(|axis| axis == name);
+        let axis = POSITION.into_iter().position(|axis| axis == name);
         if let Some(axis) = axis.filter(|_| self.scan.has_positions()) {
             let column: Vec<f32> = self.scan.positions().iter().map(|position| position[axis]).collect();
             return Ok(column.into_pyarray(py).into_any());
@@ -423,7 +498,7 @@ impl Write for Output {
 #[pyclass(frozen, module = "lidarpc._native")]
 struct StreamWriter {
     /// None once it is finished.
-    encoder: Mutex<Option<Encoder<Output>>>,
+    encoder: OfProcess<Option<Encoder<Output>>>,
     name: String,
 }
 
@@ -443,7 +518,7 @@ impl StreamWriter {
     ) -> PyResult<Self> {
         let settings = settings(level, max_error, intensity_step, threads, group);
         let encoder = Encoder::new(Output(write), settings).map_err(|error| raise(error, &name, None))?;
-        Ok(StreamWriter { encoder: Mutex::new(Some(encoder)), name })
+        Ok(StreamWriter { encoder: OfProcess::new(Some(encoder)), name })
     }
 
     fn push(
@@ -472,15 +547,18 @@ impl StreamWriter {
 
     /// Number of scans and of points, bytes of the scans, bytes of the stream.
     fn finish(&self, py: Python<'_>) -> PyResult<(u64, u64, u64, u64)> {
-        let summary = py.detach(|| locked(&self.encoder).take().ok_or_else(finished)?.finish());
+        let summary = py.detach(|| self.encoder.lock(OPENED)?.take().ok_or_else(finished)?.finish());
         let summary = summary.map_err(|error| raise(error, &self.name, None))?;
         Ok((summary.scans, summary.points, summary.scan_bytes, summary.stream_bytes))
     }
 }
 
+/// What is inherited, if an encoder is.
+const OPENED: &str = "the encoder was opened";
+
 impl StreamWriter {
     fn push_scan(&self, py: Python<'_>, scan: Scan) -> PyResult<()> {
-        let pushed = py.detach(|| locked(&self.encoder).as_mut().ok_or_else(finished)?.push(scan));
+        let pushed = py.detach(|| self.encoder.lock(OPENED)?.as_mut().ok_or_else(finished)?.push(scan));
         pushed.map_err(|error| raise(error, &self.name, None))
     }
 }

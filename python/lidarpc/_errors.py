@@ -28,3 +28,7 @@ class InputError(Error, OSError):
 
     def __str__(self) -> str:
         return self.args[0]
+
+
+class LidarpcWarning(UserWarning):
+    """Something was left out or lost, as the functions were allowed to."""

@@ -110,7 +110,7 @@ class Task:
         with tempfile.TemporaryDirectory(prefix="lidarpc-") as scratch:
             inputs = self._local_inputs(os.path.join(scratch, "in"))
             made = os.path.join(scratch, "made.lpc")
-            lidarpc._run([self.command, *self.options, f"--output={made}", "--", *inputs], self.name)
+            lidarpc._run(["--quiet", self.command, *self.options, f"--output={made}", "--", *inputs], self.name)
             self._publish(made, outputs, target)
 
     def _local_inputs(self, scratch: str) -> list[str]:

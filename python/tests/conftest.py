@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -40,3 +42,26 @@ def long_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for number in range(1000):
             out.push(noise(random, 300 + number % 7), time=number, name=f"{number:04}")
     return path
+
+
+def in_fork(action: Callable[[], object]) -> object:
+    """What this returns in a forked process, or the text of its error."""
+    if "fork" not in multiprocessing.get_all_start_methods():
+        pytest.skip("no fork on this system")
+    context = multiprocessing.get_context("fork")
+    receiver, sender = context.Pipe(duplex=False)
+
+    def run() -> None:
+        try:
+            sender.send(action())
+        except Exception as error:
+            sender.send(f"{type(error).__name__}: {error}")
+
+    child = context.Process(target=run)
+    child.start()
+    try:
+        assert receiver.poll(30), "the forked process hangs"
+        return receiver.recv()
+    finally:
+        child.kill()
+        child.join()

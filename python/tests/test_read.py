@@ -7,9 +7,12 @@ import io
 import itertools
 import pickle
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from conftest import in_fork
 
 import lidarpc
 
@@ -217,3 +220,120 @@ def test_iterating_does_not_hold_all_frames(long_file):
         assert [frame.number for frame in itertools.islice(frames, 3)] == [0, 1, 2]
         assert drive[500].number == 500, "in between"
         assert next(frames).number == 3
+
+
+def sizes(drive: lidarpc.Drive, *numbers: int) -> list[int]:
+    return [len(drive[number]) for number in numbers]
+
+
+@pytest.mark.parametrize("kind", ["path", "file", "bytes"])
+def test_a_drive_works_in_a_forked_process(long_file, kind):
+    sources = {"path": long_file, "file": long_file.open("rb"), "bytes": io.BytesIO(long_file.read_bytes())}
+    with lidarpc.open(sources[kind], threads=2) as drive:
+        assert sizes(drive, 5, 6) == [305, 306], "its threads exist now, but not in the forked process"
+        frames = iter(drive)
+        next(frames)
+        assert in_fork(lambda: sizes(drive, 7, 999)) == [300, 300 + 999 % 7]
+        assert in_fork(lambda: [frame.number for frame in drive[30:60]]) == list(range(30, 60))
+        told = in_fork(lambda: next(frames))
+        assert told.startswith("Error: ") and "the iteration was begun before this process was forked" in told
+        assert next(frames).number == 1 and sizes(drive, 7) == [300]
+
+
+def test_what_stops_the_program_goes_through(long_file):
+    class Stopped(Broken):
+        def read(self, *arguments):
+            try:
+                return super().read(*arguments)
+            except ConnectionError:
+                raise KeyboardInterrupt from None
+
+    with lidarpc.open(Stopped(long_file.read_bytes())) as drive, pytest.raises(KeyboardInterrupt):
+        drive[5]
+
+
+class Yielding(io.BytesIO):
+    """A file that lets other threads run between seeking and reading."""
+
+    def seek(self, *arguments):
+        place = super().seek(*arguments)
+        time.sleep(1e-4)
+        return place
+
+
+def test_threads_share_the_position_of_a_file(long_file):
+    with lidarpc.open(Yielding(long_file.read_bytes()), threads=1) as drive, ThreadPoolExecutor(4) as pool:
+
+        def read(start: int) -> list[int]:
+            return [frame.number for frame in drive[start : start + 100]]
+
+        assert list(pool.map(read, range(0, 400, 100))) == [list(range(s, s + 100)) for s in range(0, 400, 100)]
+
+
+def test_a_file_on_disk_keeps_its_position(long_file):
+    with long_file.open("rb") as file, lidarpc.open(file) as drive:
+        file.seek(3)
+        assert drive[5].number == 5 and file.tell() == 3
+
+
+def test_buffers_and_what_is_no_source(drive_file):
+    data = drive_file.read_bytes()
+    for source in (memoryview(data), np.frombuffer(data, np.uint8)):
+        with lidarpc.open(source) as drive:
+            assert len(drive) == 3 and len(drive[1]) > 1000
+    for wrong in (5, None, [1, 2], np.zeros(5)):
+        with pytest.raises(TypeError, match="is not a path, a URL, bytes, or a binary file object"):
+            lidarpc.open(wrong)
+    with drive_file.open(encoding="latin-1") as text, pytest.raises(TypeError, match="drive.lpc is open in text mode"):
+        lidarpc.open(text)
+    with pytest.raises(TypeError):
+        lidarpc.decode_frame(5)
+    with pytest.raises(lidarpc.Error, match="threads -1 is not from 0 to 1024"):
+        lidarpc.open(drive_file, threads=-1)
+
+
+def test_names_of_intact_groups_of_a_damaged_file(long_file):
+    data = bytearray(long_file.read_bytes())
+    data[len(data) // 2] ^= 1
+    with lidarpc.open(data) as drive:
+        names = drive.names
+    lost = [number for number, name in enumerate(names) if name != f"{number:04}"]
+    assert len(names) == 1000 and len(lost) == 10 and {names[number] for number in lost} == {""}
+
+
+def npy(types: list[tuple], values: float) -> lidarpc.Frame:
+    """An array of three records as a file."""
+    file, stream = io.BytesIO(), io.BytesIO()
+    records = np.zeros(3, types)
+    for name in records.dtype.names:
+        records[name] = values
+    np.save(file, records)
+    with lidarpc.Encoder(stream, level=1) as out:
+        out.push_file("a.npy", file.getvalue())
+    return lidarpc.open(stream)[0]
+
+
+def test_positions_of_other_types():
+    xyz = npy([("x", "f8"), ("y", "i4"), ("z", "f8")], 1 / 3).xyz
+    assert xyz.dtype == np.float64 and xyz.tolist() == [[1 / 3, 0, 1 / 3]] * 3
+    xyz = npy([("x", "i4"), ("y", "i4"), ("z", "i4")], 5).xyz
+    assert xyz.dtype == np.int32 and xyz.tolist() == [[5, 5, 5]] * 3
+    with pytest.raises(KeyError, match="no field \"z\""):
+        npy([("x", "f4"), ("y", "f4"), ("i", "u1")], 1).xyz
+
+
+def test_a_field_is_listed_once():
+    header = (
+        "VERSION 0.7\nFIELDS x y z x\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 2\nHEIGHT 1\n"
+        "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA binary\n"
+    )
+    stream = io.BytesIO()
+    with lidarpc.Encoder(stream) as out:
+        out.push_file("a.pcd", header.encode() + np.arange(8, dtype="<f4").tobytes())
+    frame = lidarpc.open(stream)[0]
+    assert frame.fields == ["x", "y", "z"] and frame.to_structured().dtype.names == ("x", "y", "z")
+
+
+def test_a_frame_cannot_be_pickled(drive_file):
+    with lidarpc.open(drive_file) as drive, pytest.raises(TypeError, match="use frame.to_structured"):
+        pickle.dumps(drive[0])

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import datetime
 import io
+import os
+import signal
 import subprocess
 import sys
+import threading
+import time
+import warnings
 
 import numpy as np
 import pytest
-from conftest import TESTDATA
+from conftest import TESTDATA, in_fork
 
 import lidarpc
 
@@ -178,3 +184,253 @@ def test_the_program(drive_file, tmp_path):
     failed = run("info", str(tmp_path / "missing.lpc"))
     assert failed.returncode == 1 and "missing.lpc: does not exist" in failed.stderr
     assert run("encode").returncode == 2
+
+
+def noise(number: int = 0, count: int = 2000) -> np.ndarray:
+    return np.random.default_rng(number).normal(size=(count, 3)).astype(np.float32)
+
+
+def test_a_refused_scan_leaves_the_encoder_usable(tmp_path):
+    path = tmp_path / "live.lpc"
+    with lidarpc.Encoder(path, group=2) as out:
+        out.push(points())
+        for arguments in (dict(name="aux"), dict(name="a\nb"), dict(track=255), dict(track=-1), dict(time=2**63)):
+            with pytest.raises(lidarpc.Error):
+                out.push(points(), **arguments)
+        out.push(points(), name="b", track=254, time=2**63 - 1)
+        out.push(points())
+    with lidarpc.open(path) as drive:
+        assert [frame.name for frame in drive] == ["", "b", ""] and drive[1].time == 2**63 - 1
+
+
+@pytest.mark.parametrize("place", ["path", "file", "memory"])
+def test_an_error_leaves_what_was_there(tmp_path, place):
+    fsspec = pytest.importorskip("fsspec")
+    path = {"path": f"{tmp_path}/a.lpc", "file": f"file://{tmp_path}/a.lpc", "memory": "memory://errors/a.lpc"}[place]
+    filesystem, name = fsspec.core.url_to_fs(path)
+    filesystem.pipe_file(name, b"precious")
+    for arguments in (dict(level=0), dict(max_error=-1.0), dict(group=0), dict(threads=1025)):
+        with pytest.raises(lidarpc.Error):
+            lidarpc.Encoder(path, **arguments)
+    with pytest.raises(RuntimeError, match="mine"), lidarpc.Encoder(path, group=1, threads=1) as out:
+        out.push(noise())
+        raise RuntimeError("mine")
+    folder = os.path.dirname(name)
+    assert filesystem.cat_file(name) == b"precious" and len(filesystem.ls(folder)) == 1
+    with lidarpc.Encoder(path) as out:
+        out.push(noise())
+    assert len(lidarpc.open(path)) == 1 and len(filesystem.ls(folder)) == 1
+
+
+def test_cleanup_does_not_hide_the_error():
+    fsspec = pytest.importorskip("fsspec")
+    with pytest.raises(RuntimeError, match="mine"), lidarpc.Encoder("memory://gone/a.lpc") as out:
+        fsspec.filesystem("memory").rm("/gone", recursive=True)
+        raise RuntimeError("mine") from None
+    assert out._output is None
+
+
+def test_a_stopped_recording_is_kept(tmp_path):
+    path = tmp_path / "live.lpc"
+    with pytest.raises(KeyboardInterrupt) as raised, lidarpc.Encoder(path, group=1, threads=1) as out:
+        for number in range(5):
+            out.push(noise(number))
+        raise KeyboardInterrupt
+    partial = tmp_path / "live.lpc.partial"
+    assert list(tmp_path.iterdir()) == [partial]
+    if sys.version_info >= (3, 11):
+        assert f"lidarpc repair {partial} -o {path}" in raised.value.__notes__[0]
+    assert run("repair", str(partial), "-o", str(path)).returncode in (0, 3)
+    assert len(lidarpc.open(path)) == 5
+    # Nothing was written yet.
+    with pytest.raises(SystemExit), lidarpc.Encoder(tmp_path / "short.lpc") as out:
+        out.push(noise())
+        sys.exit()
+    assert {file.name for file in tmp_path.iterdir()} == {"live.lpc", "live.lpc.partial"}
+
+
+def test_encoders_of_one_target_do_not_harm_each_other(tmp_path):
+    path = tmp_path / "live.lpc"
+    (tmp_path / "live.lpc.partial").write_bytes(b"of a resumable run")
+    first, second = lidarpc.Encoder(path, group=1, threads=1), lidarpc.Encoder(path, group=1, threads=1)
+    for number in range(3):
+        first.push(noise(number))
+        second.push(noise(number))
+    first.close()
+    assert len(lidarpc.open(path)) == 3
+    second.push(noise())
+    second.close()
+    assert len(lidarpc.open(path)) == 4
+    assert (tmp_path / "live.lpc.partial").read_bytes() == b"of a resumable run" and len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_forked_process_leaves_the_encoder_alone(tmp_path):
+    path = tmp_path / "live.lpc"
+    with lidarpc.Encoder(path, group=1) as out:
+        out.push(noise())
+        assert "the encoder was opened before this process was forked" in in_fork(lambda: out.push(noise()))
+        assert in_fork(lambda: out.__exit__(None, RuntimeError(), None)) is None
+        out.push(noise())
+    assert len(lidarpc.open(path)) == 2
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
+def test_what_stops_the_program_while_writing_goes_through(stop):
+    class Stopped(io.RawIOBase):
+        def write(self, piece):
+            raise stop
+
+    with pytest.raises(stop), lidarpc.Encoder(Stopped(), group=1, threads=1) as out:
+        for number in range(5):
+            out.push(noise(number))
+
+
+@pytest.mark.parametrize("count", [0, -1, 10**9, "many", None])
+def test_counts_of_writes_are_checked(count):
+    class Odd(io.RawIOBase):
+        def write(self, piece):
+            return count
+
+    with pytest.raises(lidarpc.InputError, match="write\\(\\) took") as raised:
+        with lidarpc.Encoder(Odd()) as out:
+            out.push(points())
+    assert isinstance(raised.value.__cause__, OSError)
+
+
+def test_settings_out_of_range_say_the_range():
+    for level in (-1, 0, 4, 5, 10, 300):
+        with pytest.raises(lidarpc.Error, match=f"level {level} .* 1, 2, 3, 6, 7, 8 and 9"):
+            lidarpc.FrameEncoder(level=level)
+    for name, value in (("threads", -1), ("threads", 1025), ("group", -1), ("group", 0)):
+        with pytest.raises(lidarpc.Error, match=f"{name} {value} is not from"):
+            lidarpc.Encoder(io.BytesIO(), **{name: value})
+    for wrong in (5, None):
+        with pytest.raises(TypeError, match="is not a path, a URL, or a binary file object"):
+            lidarpc.Encoder(wrong)
+    with pytest.raises(TypeError, match="text mode"):
+        lidarpc.Encoder(io.StringIO())
+
+
+def time_of(time: object) -> int | None:
+    return lidarpc.decode_frame(lidarpc.encode_frame(points(), time=time)).time
+
+
+def test_times_of_all_kinds():
+    second = 1_000_000_000
+    assert time_of(np.datetime64(10, "s")) == 10 * second and time_of(np.datetime64(2500, "ps")) == 2
+    assert time_of(np.datetime64("NaT")) is None
+    assert time_of(datetime.datetime(1970, 1, 1, 0, 0, 1, 5)) == second + 5000
+    zone = datetime.timezone(datetime.timedelta(hours=1))
+    assert time_of(datetime.datetime(1970, 1, 1, 1, 0, 1, tzinfo=zone)) == second
+    for wrong in (np.datetime64("3000-01-01"), np.datetime64("0001-01-01"), datetime.datetime(9000, 1, 1), 2**63):
+        with pytest.raises(lidarpc.Error, match="time"):
+            time_of(wrong)
+    with pytest.raises(TypeError):
+        time_of(1.5)
+
+
+def test_unaligned_arrays():
+    xyz = points()
+    unaligned = np.frombuffer(b"\0" + xyz.tobytes(), np.float32, offset=1).reshape(-1, 3)
+    assert not unaligned.flags.aligned
+    frame = lidarpc.decode_frame(lidarpc.encode_frame(unaligned, intensity=unaligned.reshape(3, -1)[0]))
+    assert np.array_equal(frame.xyz, xyz) and np.array_equal(frame["intensity"], xyz.reshape(3, -1)[0])
+
+
+def test_masks_complex_numbers_and_large_integers_are_refused():
+    for wrong in (np.full((2, 3), 2**60 + 1), np.full((2, 3), 2**64 - 1, np.uint64), np.full((2, 3), 2**31 - 1, np.int32)):
+        with pytest.raises(lidarpc.Error, match="float32 does not hold"):
+            lidarpc.encode_frame(wrong)
+    for exact in (np.full((2, 3), 2**60), np.full((2, 3), -(2**63)), np.full((2, 3), -128, np.int8)):
+        assert np.array_equal(lidarpc.decode_frame(lidarpc.encode_frame(exact)).xyz, exact)
+    with pytest.raises(TypeError, match="complex"):
+        lidarpc.encode_frame(points().astype(complex))
+    for arguments in (dict(xyz=np.ma.masked_array(points())), dict(xyz=points(), ring=np.ma.zeros(50, np.uint8))):
+        with pytest.raises(lidarpc.Error, match="masked"):
+            lidarpc.encode_frame(**arguments)
+
+
+def test_only_buffers_are_files(scans):
+    stream = io.BytesIO()
+    with lidarpc.Encoder(stream, level=1) as out:
+        for wrong in (5, None, "text", [1, 2]):
+            with pytest.raises(TypeError):
+                out.push_file("a.bin", wrong)
+        name, data = scans[0]
+        for kind in (bytes, bytearray, memoryview, lambda data: np.frombuffer(data, np.float32)):
+            out.push_file(name, kind(data))
+    assert [frame.data for frame in lidarpc.open(stream)] == [scans[0][1]] * 4
+
+
+@pytest.fixture
+def mixed(tmp_path, scans):
+    """A folder of a scan and a note."""
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    (folder / scans[0][0]).write_bytes(scans[0][1])
+    (folder / "notes.txt").write_text("not a scan")
+    return folder
+
+
+def test_what_is_left_out_is_warned_of(mixed, tmp_path):
+    stream = tmp_path / "drive.lpc"
+    with pytest.warns(lidarpc.LidarpcWarning, match="left out 1 file .*notes.txt") as warned:
+        lidarpc.encode(mixed, stream, level=1)
+    assert [warning.filename for warning in warned] == [__file__]
+    with pytest.raises(lidarpc.Error, match="notes.txt"):
+        lidarpc.encode(mixed, stream, level=1, strict=True, force=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lidarpc.encode(mixed, stream, level=1, all_files=True, verify=True, force=True)
+        lidarpc.decode(stream, tmp_path / "back")
+    assert (tmp_path / "back" / "notes.txt").read_text() == "not a scan"
+
+
+def test_wrong_usage_is_told_in_one_line(drive_file, tmp_path):
+    with pytest.raises(lidarpc.Error) as raised:
+        lidarpc.decode(drive_file, tmp_path / "out", format="docx")
+    assert "docx" in str(raised.value) and "\n" not in str(raised.value) and "Usage" not in str(raised.value)
+
+
+def test_what_is_intact_is_decoded(tmp_path):
+    damaged = tmp_path / "damaged.lpc"
+    with lidarpc.Encoder(damaged, group=2, level=1) as out:
+        for number in range(6):
+            out.push(noise(number), name=f"{number:02}")
+    data = bytearray(damaged.read_bytes())
+    data[len(data) // 2] ^= 1
+    damaged.write_bytes(data)
+    with pytest.raises(lidarpc.Error, match="damaged"):
+        lidarpc.decode(damaged, tmp_path / "none", format="bin")
+    with pytest.warns(lidarpc.LidarpcWarning) as warned:
+        lidarpc.decode(damaged, tmp_path / "some", format="bin", keep_going=True)
+    assert "4 frames saved, 2 frames lost" in str(warned[-1].message)
+    assert len(list((tmp_path / "some").iterdir())) == 4
+
+
+def test_the_working_folder_is_not_imported_from(mixed, monkeypatch):
+    (mixed / "lidarpc").mkdir()
+    (mixed / "lidarpc" / "__init__.py").write_text("raise RuntimeError('imported')")
+    monkeypatch.chdir(mixed)
+    lidarpc.encode(mixed / "0000000000.bin", mixed / "one.lpc", level=1)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_an_interrupted_program_cleans_up(tmp_path):
+    # Written by the program as it reads: frames that take long.
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for number in range(40):
+        (folder / f"{number:04}.bin").write_bytes(np.random.default_rng(number).normal(size=200_000).astype("f4").tobytes())
+
+    def interrupt() -> None:
+        while len(list(tmp_path.iterdir())) == 1:
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt, daemon=True)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        lidarpc.encode(folder, tmp_path / "drive.lpc", level=9, threads=1)
+    thread.join()
+    assert list(tmp_path.iterdir()) == [folder]
