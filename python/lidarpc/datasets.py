@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 import lidarpc
+from lidarpc._files import bytes_of, is_buffer
 
-__all__ = ["GroupSampler", "KissIcpDataset", "TorchDataset"]
+__all__ = ["GroupBatchSampler", "GroupSampler", "KissIcpDataset", "TorchDataset"]
 
 #: Names of the field that tells when each point was measured.
 TIME_FIELDS = ("time", "t", "timestamp", "timestamps", "time_stamp", "point_time_offset")
@@ -20,20 +22,35 @@ class _Lazy:
     """A stream that each process opens for itself, when it first needs it: file handles and threads are not inherited."""
 
     def __init__(self, source: Any, **options: Any) -> None:
+        if type(source) in (io.BufferedReader, io.FileIO) and isinstance(source.name, str):
+            source = os.path.abspath(source.name)
+        elif type(source) is io.BytesIO:
+            source = source.getvalue()
+        elif is_buffer(source):
+            source = bytes_of(source)
         self.source = source
         self.options = options
         self._drive: lidarpc.Drive | None = None
         self._process = -1
+        self._first_process = os.getpid()
+
+    def _check_shared(self) -> None:
+        if not isinstance(self.source, (str, os.PathLike, bytes)):
+            kind = type(self.source).__name__
+            raise TypeError(f"processes cannot share a source of type {kind}: give the data set a path, a URL or bytes")
 
     @property
     def drive(self) -> lidarpc.Drive:
         """The stream, open in this process."""
         if self._drive is None or self._process != os.getpid():
+            if self._first_process != os.getpid():
+                self._check_shared()
             self._drive = lidarpc.open(self.source, **self.options)
             self._process = os.getpid()
         return self._drive
 
     def __getstate__(self) -> dict[str, Any]:
+        self._check_shared()
         return {**self.__dict__, "_drive": None, "_process": -1}
 
 
@@ -87,7 +104,8 @@ class TorchDataset(_Lazy):
 
     ``transform``: a frame to what the data set gives; as it stands, a dictionary of arrays: ``xyz`` (n, 3), and each other
     field by its name, (n,). Scans differ in their number of points, so a DataLoader needs ``batch_size=None`` or a
-    ``collate_fn``. Reading is quickest in order of the frames, or group by group: :class:`GroupSampler`.
+    ``collate_fn``. Reading is quickest in order of the frames, or group by group: :class:`GroupBatchSampler`, or
+    :class:`GroupSampler` without workers. With workers, ``source`` is a path, a URL or bytes.
     """
 
     def __init__(
@@ -106,9 +124,30 @@ class TorchDataset(_Lazy):
 
 
 class GroupSampler:
-    """The numbers of all frames in random order, but those of a group together: each group is decoded once.
+    """The numbers of all frames in random order, but those of a group together: each group is decoded once, if one process
+    loads them all.
 
-    For a DataLoader's ``sampler``. The order is another one in each epoch, and depends on ``seed`` alone.
+    For the ``sampler`` of a DataLoader with ``num_workers`` of 0 or 1. More workers take turns, and would decode each group
+    several times: use :class:`GroupBatchSampler`. The order is another one in each epoch, and depends on ``seed`` alone.
+    """
+
+    def __init__(self, dataset: TorchDataset, *, seed: int = 0) -> None:
+        self._batches = GroupBatchSampler(dataset, seed=seed)
+
+    def __len__(self) -> int:
+        return sum(map(len, self._batches.groups))
+
+    def __iter__(self) -> Iterator[int]:
+        for batch in self._batches:
+            yield from batch
+
+
+class GroupBatchSampler:
+    """The numbers of the frames of each group as a batch, groups and frames in random order: each group is decoded once,
+    by one of the workers.
+
+    For a DataLoader's ``batch_sampler``, with a ``collate_fn`` such as ``list``. The order is another one in each epoch, and
+    depends on ``seed`` alone.
     """
 
     def __init__(self, dataset: TorchDataset, *, seed: int = 0) -> None:
@@ -116,8 +155,8 @@ class GroupSampler:
         self.random = np.random.default_rng(seed)
 
     def __len__(self) -> int:
-        return sum(map(len, self.groups))
+        return len(self.groups)
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[list[int]]:
         for group in self.random.permutation(len(self.groups)):
-            yield from (int(number) for number in self.random.permutation(self.groups[group]))
+            yield [int(number) for number in self.random.permutation(self.groups[group])]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import multiprocessing
 import pickle
 
 import numpy as np
 import pytest
-from conftest import TESTDATA
+from conftest import TESTDATA, in_fork
 
 import lidarpc
-from lidarpc.datasets import GroupSampler, KissIcpDataset, TorchDataset
+from lidarpc.datasets import GroupBatchSampler, GroupSampler, KissIcpDataset, TorchDataset
 
 
 def test_kiss_icp_gets_points_and_times(tmp_path, scans):
@@ -80,14 +81,46 @@ def test_the_sampler_takes_group_by_group(long_file):
     assert all(len({number // 10 for number in first[start : start + 10]}) == 1 for start in range(0, 1000, 10))
 
 
+def test_batches_are_groups(long_file):
+    sampler = GroupBatchSampler(TorchDataset(long_file), seed=1)
+    first, second = list(sampler), list(sampler)
+    assert len(sampler) == 100 and first != second
+    assert sorted(map(sorted, first)) == [list(range(start, start + 10)) for start in range(0, 1000, 10)]
+    # Batches go to the workers as they are, so that each group is decoded by one.
+    assert list(GroupSampler(TorchDataset(long_file), seed=1)) == [number for batch in first for number in batch]
+
+
+def test_file_objects_in_other_processes(long_file):
+    with long_file.open("rb") as file:
+        dataset = TorchDataset(file)
+        expected = numbers(dataset)
+        assert in_fork(lambda: numbers(dataset)) == expected == numbers(pickle.loads(pickle.dumps(dataset)))
+
+    class Other(io.BytesIO):
+        pass
+
+    other = TorchDataset(Other(long_file.read_bytes()))
+    assert numbers(other) == expected
+    assert "processes cannot share a source of type Other" in in_fork(lambda: numbers(other))
+    with pytest.raises(TypeError, match="give the data set a path"):
+        pickle.dumps(other)
+
+
+def tensors(frames: list[dict]) -> list[dict]:
+    import torch
+
+    return [{name: torch.from_numpy(values) for name, values in frame.items()} for frame in frames]
+
+
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_torch_loads_it_in_workers(long_file, method):
     torch = pytest.importorskip("torch")
     dataset = TorchDataset(long_file)
     assert len(dataset[3]["xyz"]) == 303
+    options = dict(num_workers=2, multiprocessing_context=method)
     loader = torch.utils.data.DataLoader(
-        dataset, batch_size=None, sampler=GroupSampler(dataset), num_workers=2, multiprocessing_context=method
+        dataset, batch_sampler=GroupBatchSampler(dataset), collate_fn=tensors, **options
     )
-    batches = list(loader)
+    batches = [frame for batch in loader for frame in batch]
     assert len(batches) == 1000 and all(batch["xyz"].dtype == torch.float32 for batch in batches)
     assert sum(batch["xyz"].shape[0] for batch in batches) == sum(300 + number % 7 for number in range(1000))
