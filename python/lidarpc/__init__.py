@@ -562,8 +562,14 @@ def decode_frame(payload: Buffer, *, range_images: bool = False) -> Frame:
     return Frame(_native.decode_frame(bytes_of(payload), range_images))
 
 
-#: The program, without the working folder among those that modules are imported from.
-_PROGRAM = "import sys; sys.path[:] = filter(None, sys.path); from lidarpc.__main__ import main; sys.exit(main())"
+#: Where this package is.
+_HOME = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+
+#: The program. Modules are not imported from the working folder, as they would be with ``-m``.
+_PROGRAM = (
+    f"import sys; sys.path[:] = [*filter(None, sys.path), {_HOME!r}]; "
+    "from lidarpc.__main__ import main; sys.exit(main())"
+)
 
 #: What the program puts before its remarks and errors.
 _SPEAKER = "lidarpc: "

@@ -146,7 +146,7 @@ def worker_of(process: int) -> int | None:
                 words = Path(f"/proc/{grandchild}/cmdline").read_bytes().split(b"\0")
             except OSError:
                 continue
-            if b"lidarpc" in words and b"encode" in words and not any(b"cluster" in word for word in words):
+            if b"encode" in words and any(b"import main" in word for word in words):
                 stat = Path(f"/proc/{grandchild}/stat").read_text(encoding="ascii", errors="replace")
                 return int(stat.rpartition(")")[2].split()[1])
     return None
