@@ -206,8 +206,8 @@ class Frames(Sequence[Frame]):
 
 class Drive(Sequence[Frame]):
     """An open stream: a sequence of frames. Several threads may use it at once, and so may forked processes; but an
-    iterator works only in the process that began it, and of file objects, only files on disk may be read by several
-    processes.
+    iterator works only in the process that began it, and of file objects, only files on disk or in memory may be read by
+    several processes.
 
     Of frames that are asked for one by one, the group decoded last is kept, as far as it was decoded.
     """
@@ -389,7 +389,7 @@ def _nanoseconds(time: Time) -> int | None:
             return None
         # What does not fit wraps around. Finer units always fit.
         if np.datetime_data(time.dtype)[0] not in ("ps", "fs", "as") and nanoseconds.astype(time.dtype) != time:
-            raise Error(f"time {time} is not from 1677-09-21 to 2262-04-11, as nanoseconds in 64 bits are")
+            raise Error(f"time {time} is not from 1677-09-22 to 2262-04-11, which 64 bits of nanoseconds hold")
         return int(nanoseconds.astype(np.int64))
     if isinstance(time, datetime.datetime):
         utc = time.replace(tzinfo=datetime.timezone.utc) if time.tzinfo is None else time
