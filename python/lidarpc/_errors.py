@@ -31,4 +31,4 @@ class InputError(Error, OSError):
 
 
 class LidarpcWarning(UserWarning):
-    """Something was left out or lost, as the functions were allowed to."""
+    """``encode`` left something out, or ``decode`` with ``keep_going`` lost frames of a damaged file."""

@@ -77,8 +77,8 @@ impl<W: Write> Encoder<W> {
     }
 
     /// Adds the next scan. The scan that completes the first group also has the scanner fitted, which takes
-    /// up to a few seconds; groups of empty scans before it wait for it. Later, the scan that completes a group waits for a free thread; with one thread,
-    /// it has the group encoded.
+    /// up to a few seconds; groups of empty scans before it wait for it. Later, the scan that completes a group
+    /// waits for a free thread; with one thread, it has the group encoded.
     ///
     /// # Errors
     /// If this scan exceeds the limits that every decoder has, or has a name that not every system can restore:
@@ -143,8 +143,8 @@ impl<W: Write> Encoder<W> {
 }
 
 /// Encodes scans one by one, each to a stream of its own: for messages, which must be decodable individually.
-/// The scanner is fitted to the first scans, and kept once the fit succeeds, so that later scans only take
-/// the time to code them.
+/// The scanner is fitted to the first scans, and kept once it explains the next one, so that later scans only
+/// take the time to code them.
 ///
 /// All scans are assumed to be from one scanner; those from others are restored too, but are larger when
 /// coded. A clone continues with the fitted scanner, for example on another thread.

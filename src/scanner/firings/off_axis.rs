@@ -127,8 +127,7 @@ impl ScanFacts<'_> {
             if !maker.is_like(*start) {
                 return None;
             }
-            let of_recipe = |recipe: Recipe| {
-                let scanner = self.of_maker(maker, recipe, rows)?;
+            let judged = |scanner: Firings| {
                 let reach = 0.5 * scanner.range_step_m() + 1e-5;
                 let places = scanner.places(&positions, reach);
                 let is_exact = |place: &&Place| {
@@ -137,17 +136,24 @@ impl ScanFacts<'_> {
                     sample[place.point as usize].is_reproduced_by(&scanner, &found, 0..3)
                 };
                 let exact = places.iter().filter(is_exact).count();
-                Some((scanner, exact, places.len()))
+                let placed = places.len();
+                (scanner, exact, placed)
             };
+            let of_recipe = |recipe: Recipe| Some(judged(self.of_maker(maker, recipe, rows)?));
             let usual = of_recipe(maker.recipe)?;
-            let (_, exact, placed) = usual;
-            let others: &[Recipe] = match maker.recipe {
-                Recipe::RoboSense if 2 * exact < placed => &[Recipe::RoboSenseEarly, Recipe::RoboSenseFused],
-                // Fused operations change only some of the last bits.
-                Recipe::RoboSense if 20 * exact < 19 * placed => &[Recipe::RoboSenseFused],
-                _ => &[],
+            let (ref scanner, exact, placed) = usual;
+            let is_robosense = maker.recipe == Recipe::RoboSense;
+            // Fused operations change only some of the last bits, so nearly the same constants are right.
+            let may_be_fused = || {
+                let build = Build { recipe: Recipe::RoboSenseFused, ..scanner.build.clone() };
+                let fused = Firings::new(build, scanner.lasers.clone(), scanner.rows_of_slots.clone());
+                20 * exact < 19 * placed && judged(fused).1 > exact
             };
-            let better = others.iter().filter_map(|recipe| of_recipe(*recipe));
+            let others = [
+                (is_robosense && 2 * exact < placed).then_some(Recipe::RoboSenseEarly),
+                (is_robosense && may_be_fused()).then_some(Recipe::RoboSenseFused),
+            ];
+            let better = others.into_iter().flatten().filter_map(of_recipe);
             let better = better.filter(|(_, other, _)| *other > exact && (!are_moved || 10 * other > placed));
             Some(better.max_by_key(|(_, other, _)| *other).unwrap_or(usual))
         });
