@@ -33,8 +33,8 @@ impl TopicFilter {
 
 /// The clouds of a recording, compressed or not, one after another, each with its time. The name of each is
 /// that of a folder for its topic, such as `front/points/`. If several channels have clouds, each is a track of
-/// its own. What is damaged is left out: see [`damage`](Self::damage). If the
-/// input fails, its error is the last item.
+/// its own. What is damaged is left out: see [`damage`](Self::damage). If the input fails, its error is the
+/// last item.
 pub struct Clouds<'f, R> {
     records: Records<R>,
     filter: &'f TopicFilter,

@@ -240,8 +240,8 @@ fn within_limits(scan: ScanFile) -> Result<ScanFile> {
     Ok(ScanFile::opaque(scan.name, bytes))
 }
 
-/// Encodes frames one by one, each to a stream of its own. The scanner is fitted to the first frames, and kept once
-/// the fit succeeds.
+/// Encodes frames one by one, each to a stream of its own. The scanner is fitted to the first frames, and kept
+/// once it explains the next one.
 #[derive(Clone)]
 pub(crate) struct MessageCoder {
     config: Arc<EncoderConfig>,

@@ -63,14 +63,14 @@ pub(crate) fn choose_scanners(frames: &[FrameInput], config: &EncoderConfig) -> 
     Ok(scanners)
 }
 
-/// The scanners of frames that are coded one by one: those fitted to one of the first frames. Recordings often begin
-/// with empty or partial scans, so a fit is replaced until it explains the next frame.
+/// The scanners of frames that are coded one by one: those fitted to one of the first frames. Recordings often
+/// begin with empty or partial scans, so a fit is replaced until it explains the next frame.
 #[derive(Clone, Default)]
 pub(crate) struct KeptScanners {
     kept: Option<Arc<DriveScanners>>,
-    /// Number of frames to which a fit was attempted.
+    /// Number of frames to which a fit was attempted, but for those with few points.
     tries: usize,
-    /// Number of these with few points.
+    /// Number of those with few points.
     small: usize,
     is_settled: bool,
 }
@@ -86,12 +86,12 @@ impl KeptScanners {
         frame: impl FnOnce() -> Option<FrameInput>,
         config: &EncoderConfig,
     ) -> Result<Arc<DriveScanners>> {
-        /// Largest number of frames to which a fit is attempted; of those with few points, the second one.
+        /// Largest numbers of frames to which a fit is attempted: of all but those with few points, and of these.
         const MOST_TRIES: [usize; 2] = [5, 50];
         /// Fewer points do not show a scanner well.
         const FEW: usize = 1000;
-        /// A scanner that explains this share of a frame has measured it.
-        const EXPLAINED: f64 = 0.9;
+        /// A scanner with this score has measured the frame: it explains nearly all points or reproduces many.
+        const MEASURED: f64 = 0.97;
         if let Some(kept) = self.kept.as_ref().filter(|_| self.is_settled) {
             return Ok(Arc::clone(kept));
         }
@@ -101,7 +101,7 @@ impl KeptScanners {
         let is_small = scan.cloud.measured() < FEW;
         let score = |scanners: &DriveScanners| scanners.score(&scan, config);
         let before = self.kept.take().map(|kept| (score(&kept), kept));
-        if let Some((_, kept)) = before.as_ref().filter(|(score, _)| !is_small && *score >= EXPLAINED) {
+        if let Some((_, kept)) = before.as_ref().filter(|(score, _)| !is_small && *score >= MEASURED) {
             self.is_settled = true;
             return Ok(Arc::clone(self.kept.insert(Arc::clone(kept))));
         }
