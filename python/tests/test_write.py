@@ -428,9 +428,14 @@ def test_an_interrupted_program_cleans_up(tmp_path):
             time.sleep(0.01)
         os.kill(os.getpid(), signal.SIGINT)
 
-    thread = threading.Thread(target=interrupt, daemon=True)
-    thread.start()
-    with pytest.raises(KeyboardInterrupt):
-        lidarpc.encode(folder, tmp_path / "drive.lpc", level=9, threads=1)
-    thread.join()
+    # Programs in the background of a shell ignore it.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        thread = threading.Thread(target=interrupt, daemon=True)
+        thread.start()
+        with pytest.raises(KeyboardInterrupt):
+            lidarpc.encode(folder, tmp_path / "drive.lpc", level=9, threads=1)
+        thread.join()
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert list(tmp_path.iterdir()) == [folder]
