@@ -112,10 +112,10 @@ impl<'s> GroupEncoder<'s> {
         GroupEncoder { tracks, config }
     }
 
-    /// Encodes the next frame so that decoders accept it under [`Limits::default`](crate::Limits::default). `original` describes its
-    /// file and names its track; a track that the group does not have yet has no scanner. In bounded mode, a
-    /// frame is coded exactly if it would exceed the bound, such as text with too few digits for the decoded
-    /// values, or if that is smaller: some channels follow from exact positions alone.
+    /// Encodes the next frame so that decoders accept it under [`Limits::default`](crate::Limits::default).
+    /// `original` describes its file and names its track; a track that the group does not have yet has no
+    /// scanner. In bounded mode, a frame is coded exactly if it would exceed the bound, such as text with too few
+    /// digits for the decoded values, or if that is smaller: some channels follow from exact positions alone.
     ///
     /// # Errors
     /// If the scan exceeds those limits, or if a back-end's library fails.
@@ -251,20 +251,20 @@ impl<'s> TrackEncoder<'s> {
         let name = scan.name.clone();
         let has_image = state.has_image(&scan);
         let mut frame = FrameParts::from_scan(scan, state.scanner, has_image, config, &mut stages)?;
-        frame.parameters.halved = state.halves(&frame, config);
-        let before = may_be_unexplained(&frame, config).then(|| (state.models.clone(), stages));
-        // Others are like these.
+        // All frames of a track are like its first, unless one was coded without an image.
         let may_do_without = has_image && (state.frames == 0 || state.score_without_image.is_some());
-        let before_it = may_do_without.then(|| state.clone());
+        let state_before = may_do_without.then(|| state.clone());
+        let models_before = may_be_unexplained(&frame, config).then(|| (state.models.clone(), stages));
+        frame.parameters.halved = state.halves(&frame, config);
         let fit = stages.timed(Stage::Registration, || state.estimate_motion(&frame, config));
         let best = state.best_attempt(frame, fit, config, stages)?;
-        if let Some(before) = before_it
+        if let Some(before) = state_before
             && let Some(candidate) = self.without_image(before, &best, config, &name, &original)?
         {
             return Ok(candidate);
         }
         // Where a compressor wins, the models are tried again: other scans of the group may be theirs.
-        if let Some((models, stages)) = before
+        if let Some((models, stages)) = models_before
             && let Some(whole) = self.as_whole_file(&best, config, &name, &original)?
         {
             state.models = models;
