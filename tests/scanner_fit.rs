@@ -9,7 +9,7 @@ use crate::common::scans::{
 use lidarpc::internals::files::parse;
 use lidarpc::internals::scan::ScanFile;
 use lidarpc::internals::scanner::hdl64::{Hdl64, fit, project};
-use lidarpc::internals::scanner::{CoordinateGrid, REACH};
+use lidarpc::internals::scanner::{CoordinateGrid, REACH, Scanner};
 use lidarpc::internals::study::synth::{SynthConfig, scanner_beams};
 
 /// All beams, every eighth firing: some 230 points a beam.
@@ -172,6 +172,30 @@ fn beams_with_few_points() {
     };
     let sample: Vec<Points> = frames.iter().enumerate().map(sky).collect();
     explains(&sample, &sample[0], 0.99);
+}
+
+/// Sectors, with and without the seam of the rows, and the view of a camera, which leaves out the lowest beams
+/// and shortens those at its lower edge.
+#[test]
+fn parts_of_the_turn() {
+    type Sees = fn(f32, f32) -> bool;
+    let parts: [(&str, Sees); 4] = [
+        ("40 degrees on either side", |azimuth, _| azimuth.abs() < 40.0),
+        ("15 degrees on either side", |azimuth, _| azimuth.abs() < 15.0),
+        ("30 degrees to the left", |azimuth, _| (50.0..80.0).contains(&azimuth)),
+        ("camera", |azimuth, slope| azimuth.abs() < 40.0 && slope / azimuth.to_radians().cos() > -0.28),
+    ];
+    let frames = scans(&SynthConfig { thinning: 2, ..config(2) });
+    for (name, sees) in parts {
+        println!("{name}");
+        let is_seen = |[x, y, z, _]: &[f32; 4]| sees(y.atan2(*x).to_degrees(), z / x.hypot(*y));
+        let part =
+            |points: &Points| -> Points { points.iter().filter(|point| is_seen(point)).copied().collect() };
+        let sample: Vec<Points> = frames.iter().map(part).collect();
+        explains(&sample, &sample[3], 0.99);
+        let files: Vec<ScanFile> = sample.iter().map(file).collect();
+        assert!(Scanner::fit(&files).is_some_and(|scanner| scanner.hdl64().is_some()));
+    }
 }
 
 #[test]

@@ -94,10 +94,12 @@ impl Beams {
     fn take(&mut self, points: &[Point]) -> bool {
         /// More beams than any scanner has.
         const MOST_BEAMS: usize = 256;
-        /// In radians. Within a beam, even points out of order fall back by far less.
-        const FALL: f64 = 1.0;
-        /// In radians: a rise of at least this much is a step back over the seam.
-        const RISE: f64 = 5.0;
+        /// In radians. Within a beam, even points out of order fall back by far less. Scans may be cut to a
+        /// sector that is not much wider.
+        const FALL: f64 = 0.2;
+        /// In radians: a rise of at least this much is a step back over the seam. It is smaller where a scan is
+        /// cut to a sector around the seam.
+        const RISE: f64 = TAU - 0.1;
         for point in points {
             let [x, y, z] = point.position;
             if !(point.rho > 0.0 && x.is_finite() && y.is_finite() && z.is_finite()) {

@@ -68,24 +68,12 @@ pub fn is_evident(positions: &[[f32; 3]]) -> bool {
     /// In metres: points of another scanner beyond this distance are not on the ticks by chance.
     const FAR: f64 = 4.0;
     /// Minimum number of far points of a beam, and the share of them that the formula must explain.
-    const FEWEST: usize = 100;
+    const FEWEST: usize = 50;
     const LEAST: f64 = 0.9;
-    let is_left = |position: &[f32; 3]| position[1] >= 0.0;
-    let ahead = positions
-        .iter()
-        .zip(&positions[1.min(positions.len())..])
-        .filter(|(last, next)| last[0] > 0.0 && next[0] > 0.0);
-    let turns: i64 = ahead.map(|(last, next)| i64::from(is_left(next)) - i64::from(is_left(last))).sum();
-    let turns = usize::try_from(turns).unwrap_or(0);
-    if turns < BEAMS {
-        return false;
-    }
-    let (middle, half) = (positions.len() / 2, positions.len() * BEAMS / turns / 2);
-    let positions = &positions[middle - half..middle + half];
-    let (beams, coordinates) =
-        (split_beams(positions), CoordinateGrid::of(positions.iter().step_by(7).flatten()));
-    // The first and the last beam are incomplete.
-    let beams = beams.get(1..beams.len().saturating_sub(1)).unwrap_or_default();
+    let beams = split_beams(positions);
+    let middle = (beams.len() / 2).saturating_sub(BEAMS / 2);
+    let Some(beams) = beams.get(middle..middle + BEAMS) else { return false };
+    let coordinates = CoordinateGrid::of(positions.iter().step_by(7).flatten());
     let is_evident = |beam: &&Vec<Point>| {
         let far: Vec<Point> = beam.iter().filter(|point| point.rho > FAR).copied().collect();
         far.len() >= FEWEST
