@@ -589,7 +589,8 @@ fn firing_files() -> Vec<File> {
 }
 
 /// Scans of a VLP-16 that no scanner explains, as they were moved with a car: with rings, without, each
-/// firing twice with intensities off any grid, in half precision, and in steps of 5 mm.
+/// firing twice with intensities off any grid, in half precision, in steps of 5 mm, and, but for the last
+/// hundred, as differences of a map's coordinates in single precision.
 fn trail_files() -> Vec<File> {
     let config = SynthConfig { scanner: SynthScanner::Vlp16, thinning: 2, ..small(9, 4) };
     let mut frames = scans(&config);
@@ -603,12 +604,17 @@ fn trail_files() -> Vec<File> {
     let to_half = |v: f32| f32::from_bits(v.to_bits() & !0x1fff);
     let half: Vec<_> =
         frames[3].iter().map(|&[x, y, z, i]| [to_half(x), to_half(y), to_half(z), i]).collect();
+    let (most, rest) = frames[2].split_at(600);
+    let through_map =
+        |&[x, y, z, i]: &[f32; 4]| [(x + 1000.3) - 1000.3, (y - 12_345.6) + 12_345.6, (z + 80.1) - 80.1, i];
+    let mapped: Vec<_> = most.iter().map(through_map).chain(rest.iter().copied()).collect();
     [
         ("0.pcd", pcd_velodyne(&frames[0])),
         ("1.bin", kitti(&frames[1])),
         ("2.bin", kitti(&twice)),
         ("3.bin", kitti(&half)),
         ("4.bin", nclt(&frames[0])),
+        ("5.bin", kitti(&mapped)),
     ]
     .map(|(name, bytes)| (name.to_owned(), bytes))
     .to_vec()

@@ -30,11 +30,14 @@ pub struct PointModel {
     parallax: Parallax,
 }
 
+/// The grids of x, y and z.
+pub type Grids = [CoordinateGrid; 3];
+
 /// What an encoder finds out about positions before they are coded. That of a decoder, which knows nothing,
 /// is empty.
 #[derive(Clone, Debug)]
 pub struct Analysis {
-    grid: CoordinateGrid,
+    grids: Grids,
     repeats: Vec<Repeat>,
     /// For each point that is not a repeat, the index of its predecessor on the same trail; both count such
     /// points only.
@@ -46,7 +49,12 @@ pub struct Analysis {
 
 impl Default for Analysis {
     fn default() -> Self {
-        Analysis { grid: CoordinateGrid::Float32, repeats: Vec::new(), before: Vec::new(), sizes_by: None }
+        Analysis {
+            grids: [CoordinateGrid::Float32; 3],
+            repeats: Vec::new(),
+            before: Vec::new(),
+            sizes_by: None,
+        }
     }
 }
 
@@ -85,21 +93,21 @@ const SAMPLE: usize = 4 * predecessors::BLOCK;
 
 impl PointModel {
     /// For an encoder: what `code` needs to know about positions before it codes them. Most of them are on
-    /// `grid`; `None` means one that is found. A channel of these points may tell which laser measured them.
+    /// `grid`; `None` means that their grids are found. A channel of these points may tell which laser measured them.
     pub fn analyse(
         &self,
         grid: Option<CoordinateGrid>,
         positions: &[[f32; 3]],
         channels: &[Channel],
     ) -> Analysis {
-        let grid = grid.unwrap_or_else(|| CoordinateGrid::of_most(positions));
+        let grids = grid.map_or_else(|| CoordinateGrid::of_most(positions), |grid| [grid; 3]);
         let repeats = repeats::find(positions);
         let own = not_repeated(&repeats, |repeat| *repeat == Repeat::No);
-        let (before, sizes_by) = self.find_trails(grid, positions, channels, &own);
-        Analysis { grid, repeats, before, sizes_by }
+        let (before, sizes_by) = self.find_trails(grids, positions, channels, &own);
+        Analysis { grids, repeats, before, sizes_by }
     }
 
-    /// Codes positions one after the other. Their grid, if it is not given, comes first. An encoder passes
+    /// Codes positions one after the other. Their grids, unless one is given, come first. An encoder passes
     /// the analysis of these positions. Returns what is known of each point from then on.
     pub fn code<C: BitCoder>(
         &mut self,
@@ -108,10 +116,10 @@ impl PointModel {
         positions: &mut [[f32; 3]],
         analysis: &Analysis,
     ) -> Vec<PointTrail> {
-        let grid = grid.unwrap_or_else(|| code_grid(coder, analysis.grid));
+        let grids = grid.map_or_else(|| code_grids(coder, analysis.grids), |grid| [grid; 3]);
         let sources = self.repeats.code(coder, positions.len(), &analysis.repeats);
         let own = not_repeated(&sources, Option::is_none);
-        let mut trails = self.code_own(coder, grid, positions, &own, &analysis.before);
+        let mut trails = self.code_own(coder, grids, positions, &own, &analysis.before);
         for (index, source) in sources.iter().enumerate() {
             let Some(source) = source else { continue };
             positions[index] = source.position(positions);
@@ -127,19 +135,19 @@ impl PointModel {
         let mut encoder = ArithmeticEncoder::default();
         let sources = self.repeats.clone().code(&mut encoder, positions.len(), &analysis.repeats);
         let own = not_repeated(&sources, Option::is_none);
-        encoder.finish().len() + self.size_of_own(analysis.grid, positions, &own, &analysis.before)
+        encoder.finish().len() + self.size_of_own(analysis.grids, positions, &own, &analysis.before)
     }
 
     /// For an encoder: the number of the point before each of the points `own` in its trail, by the way that
     /// takes the fewest bytes, and the bytes that decided it.
     fn find_trails(
         &self,
-        grid: CoordinateGrid,
+        grids: Grids,
         positions: &[[f32; 3]],
         channels: &[Channel],
         own: &[usize],
     ) -> (Vec<Option<usize>>, Option<TrailSizes>) {
-        let size = |known: &Vec<Option<usize>>| self.size_of_own(grid, positions, own, known);
+        let size = |known: &Vec<Option<usize>>| self.size_of_own(grids, positions, own, known);
         let by_channels = predecessors::by_channels(channels, positions.len(), own);
         let sized = by_channels.into_iter().map(|known| (size(&known), known));
         let Some((channel, by_channel)) = sized.min_by_key(|(size, _)| *size) else {
@@ -153,7 +161,7 @@ impl PointModel {
     /// About the number of bytes of the points `own`, from the first of them.
     fn size_of_own(
         &self,
-        grid: CoordinateGrid,
+        grids: Grids,
         positions: &[[f32; 3]],
         own: &[usize],
         known: &[Option<usize>],
@@ -161,7 +169,7 @@ impl PointModel {
         let sample = &own[..own.len().min(SAMPLE)];
         let mut encoder = ArithmeticEncoder::default();
         let end = sample.last().map_or(0, |last| last + 1);
-        self.clone().code_own(&mut encoder, grid, &mut positions[..end].to_vec(), sample, known);
+        self.clone().code_own(&mut encoder, grids, &mut positions[..end].to_vec(), sample, known);
         encoder.finish().len() * own.len() / sample.len().max(1)
     }
 
@@ -169,7 +177,7 @@ impl PointModel {
     fn code_own<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        grid: CoordinateGrid,
+        grids: Grids,
         positions: &mut [[f32; 3]],
         own: &[usize],
         known: &[Option<usize>],
@@ -184,7 +192,7 @@ impl PointModel {
             let known = known.get(point).copied().flatten();
             let continues = trails.code(coder, &mut self.trails, point, known);
             positions[index] =
-                self.code_point(coder, grid, &mut trails, &mut places, continues, positions[index]);
+                self.code_point(coder, grids, &mut trails, &mut places, continues, positions[index]);
             let number = trails.current().map_or(0, |trail| trail.number);
             let before = places.get(point).and_then(|place| place.before).map(|before| own[before]);
             known_trails[index] = PointTrail { row: u32::from(number) + 1, before };
@@ -196,7 +204,7 @@ impl PointModel {
     fn code_point<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        grid: CoordinateGrid,
+        grids: Grids,
         trails: &mut Trails,
         places: &mut Vec<Place>,
         continues: bool,
@@ -212,16 +220,16 @@ impl PointModel {
         let [major, minor] = if direction[0].abs() >= direction[1].abs() { [0, 1] } else { [1, 0] };
         let share = direction[major];
         let expected = site.larger_coordinate(share);
-        position[major] = larger.code(coder, grid, expected, larger_error, position[major]);
+        position[major] = larger.code(coder, grids[major], expected, larger_error, position[major]);
 
         let expected = site.smaller_coordinate(finite(position)[major], major, share);
-        position[minor] = smaller.code(coder, grid, expected, smaller_error, position[minor]);
+        position[minor] = smaller.code(coder, grids[minor], expected, smaller_error, position[minor]);
 
         let [last, _] = trail.last;
         let own = Place::of(position, continues.then_some(last));
         let features = site.features(&own);
         let expected = site.height(&own, &features, &trail.cone);
-        position[2] = height.code(coder, grid, expected, height_error, position[2]);
+        position[2] = height.code(coder, grids[2], expected, height_error, position[2]);
 
         let own = own.with_height(position[2]);
         if continues {
@@ -240,12 +248,16 @@ const ERRORS: usize = 40;
 /// Lengths of residuals, in bits.
 const LENGTHS: usize = 64;
 
-/// One coordinate against several predictions, of which the one with the smallest recent errors is used. The
-/// size of an error is the binary logarithm of metres, to within one.
+/// One coordinate against several predictions, of which the one with the smallest recent errors is used. A
+/// coordinate off its grid is coded as any float32. The size of an error is the binary logarithm of metres, to
+/// within one.
 #[derive(Clone)]
 struct CoordinateModel {
     /// The recent size of each prediction's errors.
     errors: [f32; 4],
+    /// Whether a coordinate is off the grid, after one that was not, and after one that was.
+    off_grid: [AdaptiveBit; 2],
+    was_off: bool,
     raw: AdaptiveBit,
     /// The length of the residual.
     length: MixedBits<3, 8>,
@@ -258,6 +270,8 @@ impl Default for CoordinateModel {
         let places = [ERRORS, ERRORS * ERRORS, DETAILS * ERRORS].map(|contexts| contexts * LENGTHS);
         CoordinateModel {
             errors: [FIRST_ERROR; 4],
+            off_grid: [AdaptiveBit::default(); 2],
+            was_off: false,
             raw: AdaptiveBit::default(),
             length: MixedBits::new(places, LENGTHS, 0.4, 0.0, 0.015),
             below: vec![AdaptiveBit::default(); 4 * LENGTHS],
@@ -270,18 +284,26 @@ impl CoordinateModel {
     fn code<C: BitCoder, const N: usize>(
         &mut self,
         coder: &mut C,
-        grid: CoordinateGrid,
+        mut grid: CoordinateGrid,
         Expected { predictions, detail }: Expected<N>,
         trail_error: &mut f32,
         value: f32,
     ) -> f32 {
         let best = (0..N).min_by(|&a, &b| self.errors[a].total_cmp(&self.errors[b])).unwrap_or(0);
-        let predicted = grid.unit_of(predictions[best]);
-        let fits = |unit: &i64| grid.value(*unit, predictions[best]).to_bits() == value.to_bits();
-        let unit = grid.unit_in_file(value).filter(fits);
-        if self.raw.code(coder, unit.is_none()) {
-            return f32::from_bits(coder.code_plain(u64::from(value.to_bits()), 32) as u32);
+        let unit_on = |grid: CoordinateGrid| {
+            let fits = |unit: &i64| grid.value(*unit, predictions[best]).to_bits() == value.to_bits();
+            grid.unit_in_file(value).filter(fits)
+        };
+        let mut unit = unit_on(grid);
+        self.was_off = self.off_grid[usize::from(self.was_off)].code(coder, unit.is_none());
+        if self.was_off {
+            grid = CoordinateGrid::Float32;
+            unit = unit_on(grid);
+            if self.raw.code(coder, unit.is_none()) {
+                return f32::from_bits(coder.code_plain(u64::from(value.to_bits()), 32) as u32);
+            }
         }
+        let predicted = grid.unit_of(predictions[best]);
         let step = grid.step_exponent(predictions[best]);
         let class = |error: f32| ((error - step as f32) as usize).min(ERRORS - 1);
         let (own, of_trail) = (class(self.errors[best]), class(*trail_error));
@@ -313,6 +335,13 @@ impl CoordinateModel {
         }
         (node - LENGTHS) as u32
     }
+}
+
+/// Codes the grids of the axes: one, if they are the same.
+fn code_grids<C: BitCoder>(coder: &mut C, grids: Grids) -> Grids {
+    let differ = coder.code_plain(u64::from(grids != [grids[0]; 3]), 1) == 1;
+    let first = code_grid(coder, grids[0]);
+    if differ { [first, code_grid(coder, grids[1]), code_grid(coder, grids[2])] } else { [first; 3] }
 }
 
 /// Codes a grid by its numbers; those of none stand for `Float32`.

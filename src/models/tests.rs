@@ -329,6 +329,28 @@ fn points_are_predicted_along_their_trails() {
     assert!(with < without, "{with} and {without} bytes");
 }
 
+/// Differences of a map's coordinates in single precision are multiples of a power of two, another one along
+/// each axis.
+#[test]
+fn axes_have_grids_of_their_own_and_points_may_be_off_them() {
+    let points: Vec<[f32; 3]> =
+        firings_beside_the_origin(0.0).into_iter().map(|(position, _)| position).collect();
+    let scanner = [1000.3f32, -12_345.6, 80.1];
+    let through_map =
+        |point: &[f32; 3]| std::array::from_fn(|axis| (point[axis] + scanner[axis]) - scanner[axis]);
+    let moved: Vec<[f32; 3]> = points.iter().map(through_map).collect();
+    assert_eq!(CoordinateGrid::of_most(&moved), [14, 10, 17].map(CoordinateGrid::Binary));
+    let bits = |points: &[[f32; 3]]| 8 * size_of_points(points) / points.len();
+    assert!(bits(&moved) + 15 < bits(&points), "{} and {} bits a point", bits(&moved), bits(&points));
+
+    let mut some = points.clone();
+    let most = 9 * some.len() / 10;
+    some[..most].copy_from_slice(&moved[..most]);
+    assert!(bits(&some) < bits(&moved) + 5, "{} and {} bits a point", bits(&some), bits(&moved));
+    some.iter_mut().step_by(7).for_each(|point| point[1] = f32::NAN);
+    size_of_points(&some);
+}
+
 #[test]
 fn more_trails_than_a_ring_holds_come_back() {
     // Each point begins a trail, as none is near another.

@@ -23,6 +23,9 @@ pub enum CoordinateGrid {
     /// Half-precision numbers, with 11 significant bits. Units count the float32 values whose other 13 bits
     /// are 0.
     Half,
+    /// Multiples of a power of two, with this many binary places, 1 to 30: differences of large float32 values,
+    /// as where a map's coordinates were moved to the frame of a vehicle in single precision (Waymo).
+    Binary(u8),
 }
 
 impl CoordinateGrid {
@@ -49,17 +52,20 @@ impl CoordinateGrid {
         grids.find(holds).filter(|_| !values.is_empty()).unwrap_or(CoordinateGrid::Float32)
     }
 
-    /// The grid on which most of some positions (metres) lie and take the fewest bits: the widest one.
-    pub fn of_most(positions: &[[f32; 3]]) -> Self {
+    /// The grids on which most of some positions (metres) lie and take the fewest bits, the widest ones: the
+    /// same for all axes, unless one for each axis is worth more than what it takes to say so. Zeros are on all
+    /// grids.
+    pub fn of_most(positions: &[[f32; 3]]) -> [Self; 3] {
         /// Number of positions that are compared, at most.
         const SAMPLE: usize = 500;
-        /// Bits of a coordinate that is not on the grid, beside one whose residual is a metre: such a one
-        /// takes 32 bits, and most residuals are a few millimetres.
-        const RAW: f64 = 40.0;
+        /// Bits that grids of their own take in the stream.
+        const OWN: f64 = 100.0;
         /// Finer steps than this, in metres, near zero, say nothing about the grid.
         const FINEST: f64 = 1e-9;
-        /// Steps of lattices in nanometres, which programs round to; 2^-8 and 2^-9 m among them.
-        const STEPS: [u64; 14] = [
+        /// What it costs each coordinate, in bits, that those off the grid are coded by the same models.
+        const MIXED: f64 = 1.0;
+        /// Steps of lattices in nanometres, which programs round to.
+        const STEPS: [u64; 12] = [
             100_000_000,
             50_000_000,
             20_000_000,
@@ -72,28 +78,45 @@ impl CoordinateGrid {
             200_000,
             100_000,
             10_000,
-            3_906_250,
-            1_953_125,
         ];
-        let sample = positions.iter().step_by(positions.len() / SAMPLE + 1).flatten();
-        let values: Vec<f32> = sample.copied().filter(|value| value.is_finite()).collect();
-        let bits = |grid: &CoordinateGrid| {
+        let every = positions.len() / SAMPLE + 1;
+        let of_axis = |axis: usize| -> Vec<f32> {
+            let values = positions.iter().step_by(every).map(|position| position[axis]);
+            values.filter(|value| value.is_finite() && *value != 0.0).collect()
+        };
+        let axes = [0, 1, 2].map(of_axis);
+        // Bits of a coordinate, beside one whose residual is a metre.
+        let bits = |step: f64| -libm::log2(step.max(FINEST));
+        let size = |grid: &CoordinateGrid, values: &[f32]| {
+            let mut on_grid = 0usize;
             let of_value = |&value: &f32| match grid.unit_in_file(value) {
                 Some(unit) => {
-                    let next = grid.value(unit.wrapping_add(1), 0.0);
-                    -libm::log2((f64::from(next) - f64::from(value)).max(FINEST))
+                    on_grid += 1;
+                    bits(f64::from(grid.value(unit.wrapping_add(1), 0.0)) - f64::from(value))
                 }
-                None => RAW,
+                None => bits(f64::from(value.next_up()) - f64::from(value)),
             };
-            values.iter().map(of_value).sum::<f64>()
+            let of_values: f64 = values.iter().map(of_value).sum();
+            let mixed = if on_grid < values.len() { MIXED * values.len() as f64 } else { 0.0 };
+            of_values + bits_of_choices(on_grid, values.len()) + mixed
         };
-        let lattices = STEPS.map(|step_nm| CoordinateGrid::Lattice { step_nm });
-        let grids = [CoordinateGrid::Float32, CoordinateGrid::Millimetre].into_iter().chain(lattices);
+        let grids = [CoordinateGrid::Float32, CoordinateGrid::Millimetre].into_iter();
         let grids = grids
+            .chain(STEPS.map(|step_nm| CoordinateGrid::Lattice { step_nm }))
             .chain((4..=8).map(CoordinateGrid::Digits))
             .chain([CoordinateGrid::Half])
-            .map(|grid| (bits(&grid), grid));
-        grids.min_by(|(a, _), (b, _)| a.total_cmp(b)).map_or(CoordinateGrid::Float32, |(_, grid)| grid)
+            .chain((4..=20).map(CoordinateGrid::Binary));
+        let sizes: Vec<(CoordinateGrid, [f64; 3])> =
+            grids.map(|grid| (grid, [0, 1, 2].map(|axis| size(&grid, &axes[axis])))).collect();
+        let least = |of_axes: &dyn Fn(&[f64; 3]) -> f64| {
+            let sizes = sizes.iter().map(|(grid, sizes)| (of_axes(sizes), *grid));
+            sizes.min_by(|(a, _), (b, _)| a.total_cmp(b)).unwrap_or((0.0, CoordinateGrid::Float32))
+        };
+        let (common_size, common) = least(&|sizes| sizes.iter().sum());
+        let own = [0, 1, 2].map(|axis| least(&|sizes| sizes[axis]));
+        let own_size: f64 = own.iter().map(|(size, _)| size).sum();
+        let saved = (common_size - own_size) * every as f64;
+        if saved > OWN { own.map(|(_, grid)| grid) } else { [common; 3] }
     }
 
     /// The numbers of a grid in a stream: its kind and its step. FORMAT.md 3.4.
@@ -104,6 +127,7 @@ impl CoordinateGrid {
             CoordinateGrid::Lattice { step_nm } => (2, step_nm as u32),
             CoordinateGrid::Digits(digits) => (3, digits.into()),
             CoordinateGrid::Half => (4, 0),
+            CoordinateGrid::Binary(places) => (5, places.into()),
         }
     }
 
@@ -115,6 +139,7 @@ impl CoordinateGrid {
             (2, 1..=LARGEST_STEP) => Some(CoordinateGrid::Lattice { step_nm: step.into() }),
             (3, 1..=9) => Some(CoordinateGrid::Digits(step as u8)),
             (4, 0) => Some(CoordinateGrid::Half),
+            (5, 1..=30) => Some(CoordinateGrid::Binary(step as u8)),
             _ => None,
         }
     }
@@ -129,6 +154,7 @@ impl CoordinateGrid {
             // A digit has 10 / 3 bits.
             CoordinateGrid::Digits(digits) => exponent(metres).clamp(-126, 127) - i32::from(digits) * 10 / 3,
             CoordinateGrid::Half => exponent(metres).clamp(-126, 127) - 10,
+            CoordinateGrid::Binary(places) => -i32::from(places),
         }
     }
 
@@ -143,6 +169,9 @@ impl CoordinateGrid {
             }
             CoordinateGrid::Digits(digits) => decimal_unit(metres, digits),
             CoordinateGrid::Half => half_unit(metres as f32),
+            CoordinateGrid::Binary(places) => {
+                round_ties_even((metres * steps_per_metre(places)).clamp(-1e12, 1e12)) as i64
+            }
         }
     }
 
@@ -156,6 +185,7 @@ impl CoordinateGrid {
             CoordinateGrid::Lattice { step_nm } => (unit as f64 * lattice_step(step_nm)) as f32,
             CoordinateGrid::Digits(digits) => decimal_value(unit, digits),
             CoordinateGrid::Half => half_value(unit),
+            CoordinateGrid::Binary(places) => (unit as f64 / steps_per_metre(places)) as f32,
         }
     }
 
@@ -226,7 +256,10 @@ impl CoordinateGrid {
                 on_grid.then_some(unit)
             }
             CoordinateGrid::Float32 => value.is_finite().then(|| rank(value)),
-            CoordinateGrid::Lattice { .. } | CoordinateGrid::Digits(_) | CoordinateGrid::Half => {
+            CoordinateGrid::Lattice { .. }
+            | CoordinateGrid::Digits(_)
+            | CoordinateGrid::Half
+            | CoordinateGrid::Binary(_) => {
                 let unit = self.unit_of(f64::from(value));
                 let near = self.value(unit, f64::from(value));
                 (value.is_finite() && near.to_bits() == value.to_bits()).then_some(unit)
@@ -311,6 +344,20 @@ fn lattice_step(step_nm: u64) -> f64 {
     step_nm as f64 * 1e-9
 }
 
+/// The bits that it takes to say which `some` of `all` values are of one kind, if their order is random.
+fn bits_of_choices(some: usize, all: usize) -> f64 {
+    let bits = |part: usize| match part {
+        0 => 0.0,
+        _ => part as f64 * libm::log2(all as f64 / part as f64),
+    };
+    bits(some) + bits(all - some)
+}
+
+/// The reciprocal of the step of a grid with this many binary places.
+fn steps_per_metre(places: u8) -> f64 {
+    (1u64 << places.min(63)) as f64
+}
+
 /// The millimetre nearest to `formula`, in metres, with the sign kept even for zero: up to 2,000 km the same
 /// as [`CoordinateGrid::nearest`], but without a division.
 #[inline]
@@ -358,7 +405,7 @@ mod tests {
         assert_eq!([0.0f32, -0.0].map(|zero| half.unit_in_file(zero)), [Some(0); 2]);
         let values =
             (1..200).map(|i| [0.3711, -0.1373, 0.0117].map(|step| half.nearest(step * f64::from(i))));
-        assert_eq!(CoordinateGrid::of_most(&values.collect::<Vec<_>>()), half);
+        assert_eq!(CoordinateGrid::of_most(&values.collect::<Vec<_>>()), [half; 3]);
     }
 
     #[test]
@@ -449,27 +496,29 @@ mod tests {
     #[test]
     fn most_points_tell_their_grid() {
         let lattice = |step_nm: u64| CoordinateGrid::Lattice { step_nm };
-        let grids = [lattice(100_000_000), lattice(10_000_000), lattice(5_000_000), lattice(3_906_250)];
+        let grids =
+            [lattice(100_000_000), lattice(10_000_000), lattice(5_000_000), CoordinateGrid::Binary(8)];
         let others = [CoordinateGrid::Millimetre, CoordinateGrid::Digits(5), CoordinateGrid::Float32];
         for grid in grids.into_iter().chain(others) {
             let on_grid = |metres: f64| grid.nearest(metres);
             let angle = |i: i32| f64::from(i) * 0.618_034;
             let far = |i: i32| 3.0 + f64::from(i % 700) * 0.071_3;
-            let point =
-                |i: i32| [far(i) * angle(i).cos(), far(i) * angle(i).sin(), far(i) * 0.05 - 1.7].map(on_grid);
+            let point = |i: i32| {
+                [far(i) * angle(i).cos(), far(i) * angle(i).sin(), far(i) * 0.051_234_567_8].map(on_grid)
+            };
             let mut points: Vec<_> = (0..5000).map(point).collect();
-            assert_eq!(CoordinateGrid::of_most(&points), grid);
+            assert_eq!(CoordinateGrid::of_most(&points), [grid; 3]);
             // Nearly all suffice.
             points.iter_mut().step_by(50).for_each(|point| point[0] = f32::NAN);
             points.iter_mut().skip(1).step_by(50).for_each(|point| point[0] = 1.234_567_8);
-            assert_eq!(CoordinateGrid::of_most(&points), grid);
+            assert_eq!(CoordinateGrid::of_most(&points), [grid; 3]);
             let (kind, step) = grid.to_numbers();
             assert_eq!(CoordinateGrid::from_numbers(kind, step), Some(grid));
         }
         // Far from the origin float32 itself is a coarser grid than millimetres.
         let map: Vec<_> = (0..3000).map(|i| [5e5 + 0.37 * i as f32, 4e6, 123.0]).collect();
-        assert_eq!(CoordinateGrid::of_most(&map), CoordinateGrid::Float32);
-        assert_eq!(CoordinateGrid::of_most(&[]), CoordinateGrid::Float32);
+        assert_eq!(CoordinateGrid::of_most(&map)[0], CoordinateGrid::Float32);
+        assert_eq!(CoordinateGrid::of_most(&[]), [CoordinateGrid::Float32; 3]);
         assert_eq!(CoordinateGrid::from_numbers(2, 0), None);
     }
 

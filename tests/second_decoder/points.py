@@ -143,13 +143,18 @@ NOWHERE = Place([0.0, 0.0, 0.0])
 class CoordinateModel:
     def __init__(self):
         self.errors = [-6.0] * 4
+        self.off_grid = [AdaptiveBit(), AdaptiveBit()]
+        self.off = 0
         self.raw = AdaptiveBit()
         self.length = MixedBits([2560, 102400, 163840], 64, 0.4, 0.0, 0.015)
         self.top = [None] * 64
 
     def code(self, bits, grid, predictions, detail, errors, number):
-        if self.raw.code(bits):
-            return bits.plain(32)
+        self.off = self.off_grid[self.off].code(bits)
+        if self.off:
+            if self.raw.code(bits):
+                return bits.plain(32)
+            grid = Grid(FLOAT32)
         own = self.errors[: len(predictions)]
         best = own.index(min(own))
         s = grid.step_exponent(predictions[best])
@@ -193,12 +198,20 @@ class Points:
         self.coordinates = None
         self.parallax = LeastSquares(1, f32(0.998), 1)
 
+    @staticmethod
+    def grid(bits):
+        kind = bits.plain(3)
+        return Grid.of_numbers(kind, bits.plain(30) if kind >= 2 else 0) or Grid(FLOAT32)
+
     def code(self, bits, n, grid):
         """The positions, as bits of float32s, and for each the row of its trail, the point before it, and whether that is
         its source."""
-        if grid is None:
-            kind = bits.plain(3)
-            grid = Grid.of_numbers(kind, bits.plain(30) if kind >= 2 else 0) or Grid(FLOAT32)
+        if grid is not None:
+            grids = [grid] * 3
+        elif bits.plain(1):
+            grids = [self.grid(bits) for _ in range(3)]
+        else:
+            grids = [self.grid(bits)] * 3
         sources = self.repeats.code(bits, n)
         own = [index for index in range(n) if sources[index] is None]
         points = [(0, 0, 0)] * n
@@ -208,7 +221,7 @@ class Points:
         for number, index in enumerate(own):
             continues = ring.code(bits, self.trails, number)
             trail = ring.trails[ring.at]
-            points[index] = self.point(bits, grid, trail, places, continues)
+            points[index] = self.point(bits, grids, trail, places, continues)
             before = places[number].before
             rows[index] = trail.number + 1, None if before is None else own[before], False
         for index, source in enumerate(sources):
@@ -223,7 +236,7 @@ class Points:
     def step(self, to, before):
         return turned(to.azimuth - before.azimuth) - self.offset() * (to.close - before.close)
 
-    def point(self, bits, grid, trail, places, continues):
+    def point(self, bits, grids, trail, places, continues):
         n = len(places)
         if continues:
             west, west2 = places[trail.last], places[trail.earlier]
@@ -255,7 +268,7 @@ class Points:
         e = [clamp(exponent(v) + 8, 0, 7) for v in far]
         point = [0, 0, 0]
         predictions = [d * u[major] for d in (west.distance, west.distance + far[0], west.distance + far[1])]
-        point[major] = models[0].code(bits, grid, predictions, e[0] * 8 + e[1], errors, 0)
+        point[major] = models[0].code(bits, grids[major], predictions, e[0] * 8 + e[1], errors, 0)
 
         along = finite(point)[major]
         closer = close(divided(along, u[major])) - west.close
@@ -268,7 +281,7 @@ class Points:
         ):
             v = cos(angle), sin(angle)
             predictions.append(divided(along * v[minor], v[major]))
-        point[minor] = models[1].code(bits, grid, predictions, clamp(exponent(closer) + 22, 0, 31), errors, 1)
+        point[minor] = models[1].code(bits, grids[minor], predictions, clamp(exponent(closer) + 22, 0, 31), errors, 1)
 
         own = Place(finite(point))
         moved = own.distance - west.distance, own.position[0] - west.position[0], own.position[1] - west.position[1]
@@ -288,7 +301,7 @@ class Points:
             at(west) + at(north) - at(north_west),
             2 * z - west2.position[2],
         ]
-        point[2] = models[2].code(bits, grid, predictions, clamp(exponent(moved[0]) + 14, 0, 31), errors, 2)
+        point[2] = models[2].code(bits, grids[2], predictions, clamp(exponent(moved[0]) + 14, 0, 31), errors, 2)
 
         own = Place(finite(point), trail.last if continues else None)
         if continues:

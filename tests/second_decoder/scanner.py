@@ -67,10 +67,14 @@ class Grid:
     @classmethod
     def of_numbers(cls, kind, step):
         """The grid with these numbers, or None if they do not fit together."""
-        is_known = kind in (0, 1, 4) and step == 0 or kind == 2 and 1 <= step <= 10**9 or kind == 3 and 1 <= step <= 9
-        if is_known:
-            kinds = FLOAT32, MILLIMETRE, LATTICE, DIGITS, HALF
-            return cls(kinds[kind], (None, None, step * 1e-9, step, None)[kind])
+        if kind in (0, 1, 4) and step == 0:
+            return cls({0: FLOAT32, 1: MILLIMETRE, 4: HALF}[kind])
+        if kind == 2 and 1 <= step <= 10**9:
+            return cls(LATTICE, step * 1e-9)
+        if kind == 3 and 1 <= step <= 9:
+            return cls(DIGITS, step)
+        if kind == 5 and 1 <= step <= 30:
+            return cls(LATTICE, 2.0**-step)
         return None
 
     def unit_of(self, metres):

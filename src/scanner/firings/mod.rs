@@ -553,6 +553,7 @@ impl fmt::Display for Firings {
             CoordinateGrid::Lattice { step_nm } => write!(f, ", rounded to {} micrometres", step_nm / 1000)?,
             CoordinateGrid::Digits(digits) => write!(f, ", rounded to {digits} digits")?,
             CoordinateGrid::Half => write!(f, ", rounded to half precision")?,
+            CoordinateGrid::Binary(places) => write!(f, ", rounded to {places} binary places")?,
         }
         if recipe.starts_in_beam() {
             let along = f64::from(origin.along_um) / 1e3;
