@@ -11,7 +11,6 @@ mod figure_13;
 mod figure_15;
 mod octree;
 mod rivals;
-mod runs;
 mod sample;
 mod tables;
 mod times;
@@ -31,8 +30,8 @@ use crate::stream::scanner_choice::scanner_seen;
 use figure_15::Curves;
 use report::Section;
 use rivals::Rivals;
-use runs::Runs;
 use sample::Sample;
+use tables::Runs;
 
 /// The frames for the tables.
 const OF_TABLES: Extent = Extent { runs: 2, frames_a_run: 10 };
@@ -92,7 +91,7 @@ impl Bench {
     /// Number of times that a frame will be coded.
     pub fn frames_to_code(&self) -> usize {
         let figures = self.of_figures.inputs.len() + self.curves.frames_to_code(&self.of_figures);
-        runs::frames_to_code(&self.of_tables) + rivals::frames_to_code(&self.of_tables) + figures
+        tables::frames_to_code(&self.of_tables) + rivals::frames_to_code(&self.of_tables) + figures
     }
 
     /// A description of the experiments for people: names and values.

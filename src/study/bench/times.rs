@@ -6,9 +6,8 @@ use super::experiment::Coded;
 use super::published::{self, PublishedCoder};
 use super::report::{Column, Origin, Row, Section, Table};
 use super::rivals::Rivals;
-use super::runs::Runs;
 use super::sample::Sample;
-use super::tables::{Method, column, rows_of_methods};
+use super::tables::{Method, Runs, column, rows_of_methods};
 use crate::frame::Stage;
 
 /// Tables IV and V: seconds of each stage of encoding a frame, for intra and for inter coding.

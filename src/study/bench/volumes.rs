@@ -5,9 +5,8 @@ use super::figure_15::length;
 use super::published;
 use super::report::{Origin, Row, Section, Table};
 use super::rivals::{Rival, RivalFrame, Rivals, VOXELS_UM};
-use super::runs::Runs;
 use super::sample::Sample;
-use super::tables::{Method, column, columns_by_scene, rows_of_methods};
+use super::tables::{Method, Runs, column, columns_by_scene, rows_of_methods};
 use crate::study::metrics;
 
 /// Table I: compression rates.

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use super::cells::{Cells, Heading};
-use super::escape::escape;
+use super::plot::escape;
 use super::{Origin, Report, Section, plot};
 use crate::study::bench::published;
 

@@ -5,11 +5,7 @@ pub mod csv;
 pub mod html;
 pub mod text;
 
-mod axis;
 mod cells;
-mod escape;
-mod marker;
-mod number;
 mod plot;
 #[cfg(test)]
 mod tests;
