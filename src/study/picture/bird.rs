@@ -1,9 +1,7 @@
 //! The points from above.
 
-use super::colour::{ColourMap, WHITE};
-use super::legend::with_legend;
-use super::painting::{GAP, Picture, TEXT_HEIGHT};
-use super::scale::Scale;
+use super::colour::{ColourMap, Scale, WHITE};
+use super::painting::{GAP, Picture, TEXT_HEIGHT, with_legend};
 
 /// Largest number of pixels on a side.
 const LARGEST: f64 = 4096.0;

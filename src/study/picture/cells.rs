@@ -1,9 +1,7 @@
 //! Pictures of tables: one rectangle for each cell, black where there is no return.
 
-use super::colour::{self, BLACK, ColourMap, GREY, PLAIN, Rgb};
-use super::legend::with_legend;
-use super::painting::Picture;
-use super::scale::Scale;
+use super::colour::{self, BLACK, ColourMap, GREY, PLAIN, Rgb, Scale};
+use super::painting::{Picture, with_legend};
 use crate::ground::grid::Grid;
 
 /// The size in which a cell is drawn, in pixels; 0 counts as 1.

@@ -4,15 +4,11 @@
 mod bird;
 mod cells;
 mod colour;
-mod font;
-mod legend;
 mod painting;
 mod perspective;
-mod scale;
 
 pub use bird::BirdsEye;
 pub use cells::{LabelStyle, Zoom, error, labels, occupancy, range, residual};
-pub use colour::Rgb;
+pub use colour::{Rgb, Scale};
 pub use painting::{Picture, stack};
 pub use perspective::Perspective;
-pub use scale::Scale;

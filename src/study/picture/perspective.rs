@@ -1,9 +1,7 @@
 //! The points in perspective, as seen by a camera.
 
-use super::colour::ColourMap;
-use super::legend::with_legend;
-use super::painting::Picture;
-use super::scale::Scale;
+use super::colour::{ColourMap, Scale};
+use super::painting::{Picture, with_legend};
 
 /// A view from behind the scanner and above it, with x (forward) into the picture, coloured by height. Nearer
 /// points cover farther ones.
