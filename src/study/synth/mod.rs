@@ -19,8 +19,6 @@ mod beams;
 mod ground;
 mod ray;
 mod scanner;
-mod scene;
-mod shape;
 mod street;
 mod thing;
 mod trajectory;

@@ -5,9 +5,8 @@ use libm::{exp, rint, sqrt};
 use super::SynthConfig;
 use super::beams::{Beam, STEP, Stored, TICKS};
 use super::ground::Ground;
-use super::ray::{Hit, Ray};
-use super::scene::Scene;
-use super::shape::through_box;
+use super::ray::{Hit, Ray, through_box};
+use super::street::Scene;
 use super::trajectory::Pose;
 use crate::ground::random::Rng;
 

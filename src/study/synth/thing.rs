@@ -1,7 +1,6 @@
 //! The objects that stand and drive in the street, and how a ray hits them.
 
-use super::ray::{Hit, Ray};
-use super::shape::{Span, through_box, through_cylinder, through_ellipsoid};
+use super::ray::{Hit, Ray, Span, through_box, through_cylinder, through_ellipsoid};
 use crate::ground::random::{Rng, hash, unit};
 
 /// An object in the street.

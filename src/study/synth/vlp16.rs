@@ -8,7 +8,7 @@ use super::SynthConfig;
 use super::ground::Ground;
 use super::ray::Ray;
 use super::scanner::{brightness, look, measured, pose};
-use super::scene::Scene;
+use super::street::Scene;
 use super::trajectory::Pose;
 use crate::ground::random::Rng;
 
