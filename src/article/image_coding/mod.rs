@@ -13,8 +13,6 @@ mod jpeg2000;
 mod plane;
 #[cfg(feature = "article")]
 mod recurrent;
-#[cfg(not(feature = "article"))]
-mod without;
 
 #[cfg(feature = "article")]
 pub use recurrent::{decode, encode};
@@ -106,6 +104,40 @@ impl ImageConfig {
             }
             _ => Ok(()),
         }
+    }
+}
+
+/// Replaces the image coders in builds without them.
+#[cfg(not(feature = "article"))]
+mod without {
+    use super::ImageCodec;
+    use crate::ground::error::{Error, Result};
+    use crate::ground::grid::Grid;
+
+    /// Always fails.
+    ///
+    /// # Errors
+    /// [`Error::Unsupported`].
+    pub fn encode(
+        codec: ImageCodec,
+        _: Grid<i32>,
+        _: &Grid<bool>,
+        _: u8,
+        _: Option<usize>,
+    ) -> Result<Vec<u8>> {
+        Err(not_built(codec))
+    }
+
+    /// Always fails.
+    ///
+    /// # Errors
+    /// [`Error::Unsupported`].
+    pub fn decode(codec: ImageCodec, _: &[u8], _: usize, _: usize) -> Result<Grid<i32>> {
+        Err(not_built(codec))
+    }
+
+    fn not_built(codec: ImageCodec) -> Error {
+        Error::not_built(format!("ranges coded by {}", codec.name()), "article")
     }
 }
 

@@ -4,8 +4,7 @@
 use std::collections::BTreeMap;
 
 use super::ransac::least_squares_plane;
-use super::rays::Rays;
-use super::surface::SurfaceModel;
+use super::surface::{Rays, SurfaceModel};
 use crate::ground::grid::Grid;
 
 /// Cost of a border in bits for each cell along it, measured on real contour maps.

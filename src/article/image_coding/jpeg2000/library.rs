@@ -12,7 +12,7 @@ use openjp2::openjpeg::{
 };
 use openjp2::{Codec, Stream, opj_image, opj_image_comptparm};
 
-use super::header::Shape;
+use super::Shape;
 use crate::ground::grid::Grid;
 
 /// Number of bytes that the library collects before it delivers them.
