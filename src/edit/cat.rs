@@ -3,7 +3,7 @@
 use std::io::{Read, Write};
 use std::path::PathBuf;
 
-use super::copier::{GroupCopier, Named};
+use super::{GroupCopier, Named};
 use crate::container::StreamReader;
 use crate::files::names::{FileNames, NameConflict};
 use crate::ground::error::{Error, Result};

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::io::{Read, Seek, Write};
 use std::ops::Range;
 
-use super::copier::{GroupCopier, Named};
+use super::{GroupCopier, Named};
 use crate::container::{FrameHeader, Group, Lost, SalvageReader, Salvaged};
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::decoder::{DecodedFrame, decode_group};

@@ -14,31 +14,25 @@
 //! the journal is for.
 
 mod complete;
-mod fingerprint;
 mod journal;
-mod kept;
-mod settings;
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{BufWriter, Seek, SeekFrom};
+use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 pub use complete::confirm_complete;
-use fingerprint::fingerprint;
-use journal::{Entry, InputFile, Journal, JournalWriter};
-use kept::IntactPart;
-use settings::Settings;
+use journal::{Entry, InputFile, Journal, JournalWriter, Settings};
 
-use crate::container::ScannerRecord;
+use crate::container::{CodedFrame, Group, Index, Record, ScannerRecord, StreamReader};
 use crate::frame::settings::EncoderConfig;
-use crate::ground::error::{Error, Result};
-use crate::stream::encoder::OpenStream;
-use crate::stream::encoder::{SequenceCoder, groups_of};
+use crate::frame::stages::StageReport;
+use crate::ground::error::{Error, Limits, Result};
+use crate::stream::encoder::{OpenStream, SequenceCoder, groups_of};
 use crate::stream::input::FrameInput;
 use crate::stream::ordered::run_ordered;
 use crate::stream::scanner_choice::{DriveScanners, choose_scanners, records_of};
-use crate::stream::statistics::EncodeStatistics;
+use crate::stream::statistics::{EncodeStatistics, FrameStatistics};
 
 /// Advice for a partial stream that cannot be continued.
 const ADVICE: &str = "delete it to start anew, or encode without resuming";
@@ -68,10 +62,10 @@ pub fn encode_resuming(
     on_frame: &(dyn Fn() + Sync),
 ) -> Result<EncodeStatistics> {
     config.check()?;
-    let settings = settings::list(config, frames.len());
+    let settings = journal::settings_of(config, frames.len());
     let kept = find_kept(&partial)?;
     if !kept.entries.is_empty() {
-        if let Some(what) = settings::difference(&kept.settings, &settings) {
+        if let Some(what) = journal::changed_setting(&kept.settings, &settings) {
             return Err(refuse(&partial.path, format!("was begun with other settings ({what})")));
         }
         compare_inputs(&kept, frames, config, &partial.path, on_frame)?;
@@ -169,4 +163,136 @@ fn compare_inputs(
 /// An error about a partial stream.
 fn refuse(partial: &Path, what: impl std::fmt::Display) -> Error {
     Error::Input { path: partial.to_path_buf(), what: format!("{what}; {ADVICE}") }
+}
+
+/// The beginning of a partial stream that is intact and recorded in the journal.
+#[derive(Default)]
+struct IntactPart {
+    /// The settings with which it was encoded.
+    settings: Settings,
+    /// The journal's entries about its groups; empty if nothing is kept.
+    entries: Vec<Entry>,
+    /// The locations of its records.
+    index: Index,
+    /// Statistics of its contents.
+    encoded: EncodeStatistics,
+    /// Its length in bytes.
+    stream_end: u64,
+    /// Length in bytes of the part of the journal that describes it.
+    journal_end: u64,
+}
+
+impl IntactPart {
+    /// Reads a stream up to the first byte that contradicts the journal. Damage is not an error; it only
+    /// reduces what is kept.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    fn find(mut stream: &File, journal: Journal) -> Result<Self> {
+        stream.rewind()?;
+        let mut kept = IntactPart { settings: journal.settings, ..IntactPart::default() };
+        let reader = StreamReader::open(BufReader::new(stream), Limits::default());
+        let Some(mut reader) = intact(reader)? else { return Ok(kept) };
+        for (entry, journal_end) in journal.entries {
+            let Some(part) = intact(read_part(&mut reader, &entry))? else { break };
+            part.into_iter().for_each(|frame| kept.encoded.add(frame));
+            (kept.stream_end, kept.journal_end) = (entry.stream_end, journal_end);
+            kept.entries.push(entry);
+        }
+        kept.encoded.resumed_frames = kept.encoded.frames.len() as u64;
+        // Records read after the kept part are not included.
+        kept.index = reader.index().clone();
+        kept.index.truncate(kept.stream_end);
+        Ok(kept)
+    }
+}
+
+/// Reads the part of a stream that an entry of the journal describes; returns its frames.
+///
+/// # Errors
+/// If it contradicts the journal.
+fn read_part(reader: &mut StreamReader<impl Read>, entry: &Entry) -> Result<Vec<FrameStatistics>> {
+    let mut groups = Vec::new();
+    while reader.position() < entry.stream_end {
+        match reader.next_record()? {
+            Some(Record::Scanner(_)) => {}
+            Some(Record::Group(group)) => groups.push(group),
+            None => break,
+        }
+    }
+    let frames = || groups.iter().flat_map(|group| &group.frames);
+    let is_same = reader.position() == entry.stream_end
+        && fingerprint(&groups) == entry.fingerprint
+        && frames().map(|frame| &frame.header.name).eq(entry.files.iter().map(|file| &file.name));
+    if !is_same {
+        return Err(Error::corrupt("it is not what the journal tells"));
+    }
+    frames().map(FrameStatistics::kept).collect()
+}
+
+impl FrameStatistics {
+    /// A frame that was encoded by an earlier run.
+    pub(super) fn kept(frame: &CodedFrame) -> Result<Self> {
+        let mut kept = FrameStatistics::of(frame, StageReport::default())?;
+        // The size of the original file, if it differs from the decoded one.
+        kept.stages = StageReport { frames: 1, original: kept.source.file_size, ..StageReport::default() };
+        kept.stages.count_sections(&frame.sections);
+        Ok(kept)
+    }
+}
+
+/// A result of reading the stream; `None` if its bytes are damaged.
+fn intact<T>(result: Result<T>) -> Result<Option<T>> {
+    match result {
+        Ok(value) => Ok(Some(value)),
+        Err(error @ Error::Io(_)) => Err(error),
+        Err(_) => Ok(None),
+    }
+}
+
+/// A checksum over the checksums of everything in the groups. A CRC over the bytes of the stream would be
+/// useless: each section ends in its own CRC-32C, and a CRC over such bytes depends on their length alone.
+fn fingerprint<'g>(groups: impl IntoIterator<Item = &'g Group>) -> u32 {
+    let mut parts = Vec::new();
+    for group in groups {
+        let names = group.scanners.iter().map(|scanner| scanner.map_or(0, |id| u64::from(id.0) + 1));
+        parts.extend(names.flat_map(u64::to_le_bytes));
+        for CodedFrame { header, sections } in &group.frames {
+            CodedFrame { header: header.clone(), sections: Vec::new() }.write_to(&mut parts);
+            for section in sections {
+                parts.push(section.kind.number());
+                parts.extend(crc32c::crc32c(&section.payload).to_le_bytes());
+            }
+        }
+    }
+    crc32c::crc32c(&parts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::container::{FrameHeader, ScannerId, Section, SectionKind};
+
+    #[test]
+    fn groups_of_the_same_length_differ() {
+        let scanner = Some(ScannerId(7));
+        let group = |name: &str, byte, kind, scanner| {
+            let sections = vec![Section { kind, payload: vec![byte; 9] }];
+            Group {
+                scanners: vec![scanner],
+                frames: vec![CodedFrame { header: FrameHeader::of(name, b"", 0), sections }],
+            }
+        };
+        let groups = [
+            group("1", 1, SectionKind::Range, scanner),
+            group("2", 1, SectionKind::Range, scanner),
+            group("1", 2, SectionKind::Range, scanner),
+            group("1", 1, SectionKind::Strays, scanner),
+            group("1", 1, SectionKind::Range, None),
+        ];
+        for (place, one) in groups.iter().enumerate() {
+            let same = groups.iter().filter(|other| fingerprint([*other]) == fingerprint([one])).count();
+            assert_eq!(same, 1, "{place}");
+        }
+    }
 }

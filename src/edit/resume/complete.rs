@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::BufReader;
 
-use super::fingerprint::fingerprint;
+use super::fingerprint;
 use crate::container::{FrameHeader, Record, ScannerId, ScannerRecord, StreamReader};
 use crate::frame::settings::EncoderConfig;
 use crate::ground::error::{Error, Limits, Result};
