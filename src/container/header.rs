@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 
 use byteorder::{ByteOrder, LittleEndian};
 
-use super::wire::read_exact;
+use super::record::read_exact;
 use crate::ground::error::{Error, Result};
 
 /// The first four bytes of every stream. The first is not ASCII, so that streams are not taken for text.

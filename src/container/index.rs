@@ -4,9 +4,9 @@
 use std::collections::HashMap;
 
 use super::header::{FIELDS_LENGTH, StreamHeader};
+use super::record::take_u32;
 use super::scanner::ScannerId;
 use super::stamp::{FrameKind, Stamp};
-use super::wire::take_u32;
 use crate::ground::error::{Error, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
 

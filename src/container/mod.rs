@@ -10,22 +10,20 @@ pub mod index;
 pub mod reader;
 pub mod salvage;
 pub mod scanner;
-pub mod section;
 pub mod stamp;
 pub mod writer;
 
-mod pieces;
 mod record;
 mod search;
-mod wire;
 
-pub use group::{CodedFrame, FrameHeader, Group, TRACKS_MAX, allowance, pay_for};
+pub use group::{
+    CodedFrame, FrameHeader, Group, Section, TRACKS_MAX, allowance, pay_for, payload_bytes, payload_bytes_of,
+};
 pub use header::{MAGIC, StreamHeader, VERSION};
 pub use index::{FrameEntry, GroupEntry, Index, ScannerEntry};
 pub use reader::{IndexedReader, Record, StreamReader};
 pub use salvage::{Lost, SalvageReader, Salvaged};
 pub use scanner::{ScannerId, ScannerRecord};
-pub use section::{Section, payload_bytes, payload_bytes_of};
 pub use stamp::{FrameKind, Stamp, Time, TimeSource};
 pub use writer::StreamWriter;
 
