@@ -10,17 +10,13 @@
 mod adaptive;
 mod arithmetic;
 mod hashed;
-mod layered_bits;
-mod layered_mixer;
+mod layered;
 mod logistic;
-mod refinement;
 mod tokens;
-mod weights;
 
 pub use adaptive::{AdaptiveBit, IntegerModel, code_below_highest};
 pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
 pub use hashed::{Candidates, HashedCounters, LINE_LEVELS, Line, hash, hash_below};
-pub use layered_bits::{LayeredBits, LayeredContext};
-pub use layered_mixer::{LayeredMixer, MixContexts, MixRates};
+pub use layered::{LayeredBits, LayeredContext, LayeredMixer, MixContexts, MixRates};
 pub use logistic::{Counter, Logistic, MixedBits};
 pub use tokens::{Counts, StartTables, TokenCoder, TokenReader, TokenTables, TokenWriter, numbers_of_token};

@@ -1,11 +1,209 @@
-//! The tables of a section, one for each context. They persist for a group and learn from each frame, so that
-//! only the first frame has to transmit many. Lookup tables are computed from the frequencies when they are
-//! first needed. FORMAT.md 5.5, "Adaptation".
+//! The tables of a section's tokens, one for each context: how often each token occurs, as shares of 4096.
+//! FORMAT.md 5.5, "Tables". They persist for a group and learn from each frame, so that only the first frame
+//! has to transmit many. FORMAT.md 5.5, "Adaptation".
+//!
+//! Lookup tables are computed from the frequencies when they are first needed. They map each number below
+//! 4096 to a token, so that each token has as many numbers as its frequency. Walker's alias method keeps them
+//! small: equal buckets, each shared by at most two tokens. FORMAT.md 5.5, "Alias method".
 
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, LazyLock, OnceLock};
 
-use super::alias::{Bucket, buckets, for_each_number};
-use super::frequencies::{Frequencies, SCALE, TOKENS};
+use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
+use crate::ground::error::{Error, Result};
+
+/// The sum of the frequencies of a context, as a power of two.
+pub const SCALE_BITS: u32 = 12;
+/// The sum of the frequencies of a context.
+pub const SCALE: u32 = 1 << SCALE_BITS;
+/// Number of tokens.
+pub const TOKENS: usize = 256;
+
+/// The token that replaces all those without a frequency; the actual token is coded separately.
+pub const ESCAPE: u8 = u8::MAX;
+/// Binary logarithms of the frequencies, except of 0.
+static LOG2: LazyLock<Vec<f64>> =
+    LazyLock::new(|| (0..=SCALE).map(|frequency| libm::log2(f64::from(frequency))).collect());
+
+/// Approximate cost of an escape, in bits.
+const ESCAPE_COST: f64 = 20.0;
+
+/// The frequency of each token: 0 to 4095, with the sum 4096. No token is certain, so that no stream yields
+/// tokens without end; the frequency of [`ESCAPE`] is not 0, so that a table can code tokens that it was not
+/// made for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Frequencies(pub [u16; TOKENS]);
+
+impl Frequencies {
+    /// The frequencies nearest to these counts, of which at least one is not 0.
+    pub fn of(counts: &[u32; TOKENS]) -> Self {
+        let total: u64 = counts.iter().map(|&count| u64::from(count)).sum::<u64>().max(1);
+        let share = |count: u32| (u64::from(count) * u64::from(SCALE) / total) as u32;
+        let mut frequencies = counts.map(|count| if count > 0 { share(count).max(1) } else { 0 });
+        let escape = usize::from(ESCAPE);
+        frequencies[escape] = frequencies[escape].max(1);
+        if counts[..escape].iter().all(|&count| count == 0) {
+            // Gives a frequency to another token, so that the escape is not certain.
+            frequencies[0] = 1;
+        }
+        // The rounding error is added to the most frequent token, where it matters least.
+        let mut sum: u32 = frequencies.iter().sum();
+        while sum != SCALE {
+            // Of several equal ones, the last.
+            let (mut largest, mut most) = (0, 0);
+            for (token, &frequency) in frequencies.iter().enumerate() {
+                if frequency >= most {
+                    (largest, most) = (token, frequency);
+                }
+            }
+            let changed = if sum < SCALE { most + (SCALE - sum) } else { most - (sum - SCALE).min(most / 2) };
+            sum = sum - most + changed;
+            frequencies[largest] = changed;
+        }
+        Frequencies(frequencies.map(|frequency| frequency as u16))
+    }
+
+    /// Approximate number of bits that tokens with these counts take.
+    pub fn cost(&self, counts: &[u32; TOKENS]) -> f64 {
+        let taken = counts.iter().zip(&self.0).filter(|(count, _)| **count > 0);
+        let cost = |frequency: u16| match frequency {
+            0 => ESCAPE_COST,
+            _ => f64::from(SCALE_BITS) - LOG2[usize::from(frequency)],
+        };
+        taken.map(|(&count, &frequency)| f64::from(count) * cost(frequency)).sum()
+    }
+
+    /// Rough estimate of the bits that it takes to write the frequencies.
+    pub fn table_cost(&self) -> f64 {
+        const HEAD: f64 = 10.0;
+        const EACH: f64 = 5.0;
+        HEAD + EACH * self.0.iter().filter(|&&frequency| frequency > 0).count() as f64
+    }
+}
+
+/// Codes the tables of a section.
+pub struct FrequencyModel {
+    is_new: AdaptiveBit,
+    /// One model for each octave of the preceding frequency.
+    frequencies: Vec<IntegerModel>,
+}
+
+impl Default for FrequencyModel {
+    fn default() -> Self {
+        let octaves = 2 + SCALE_BITS as usize;
+        FrequencyModel { is_new: AdaptiveBit::default(), frequencies: vec![IntegerModel::default(); octaves] }
+    }
+}
+
+impl FrequencyModel {
+    /// Codes the frequencies of a context, if they are new.
+    ///
+    /// # Errors
+    /// If they do not add up to 4096.
+    pub fn code<C: BitCoder>(&mut self, coder: &mut C, new: &mut Option<Frequencies>) -> Result<()> {
+        if !self.is_new.code(coder, new.is_some()) {
+            return Ok(());
+        }
+        let Frequencies(frequencies) = new.get_or_insert(Frequencies([0; TOKENS]));
+        let escape = usize::from(ESCAPE);
+        let end =
+            frequencies[..escape].iter().rposition(|&frequency| frequency > 0).map_or(0, |last| last + 1);
+        let end = coder.code_plain(end as u64, TOKENS.ilog2()) as usize;
+        let (mut left, mut before) = (u64::from(SCALE), 0u16);
+        for frequency in &mut frequencies[..end] {
+            let octave = before.checked_ilog2().map_or(0, |octave| 1 + octave as usize);
+            let coded = self.frequencies[octave].code(coder, u64::from(*frequency));
+            left = left.checked_sub(coded).ok_or_else(|| Error::corrupt("token frequencies: too many"))?;
+            *frequency = coded as u16;
+            before = *frequency;
+        }
+        if !(1..u64::from(SCALE)).contains(&left) {
+            return Err(Error::corrupt("token frequencies: the escape has none of them, or all"));
+        }
+        // The remainder is the frequency of the escape.
+        frequencies[escape] = left as u16;
+        Ok(())
+    }
+}
+
+/// Numbers in a bucket.
+const BUCKET: u32 = SCALE / TOKENS as u32;
+
+/// A bucket: its first numbers belong to its own token, the rest to another token.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Bucket {
+    own_frequency: u16,
+    other_frequency: u16,
+    /// The index of the bucket's first number among those of the other token; negative if it would be before
+    /// the first of them.
+    other_place: i16,
+    /// How many numbers belong to the bucket's own token.
+    own: u8,
+    other: u8,
+}
+
+/// The token of a number below 4096.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Slot {
+    pub token: u8,
+    /// The token's frequency.
+    pub frequency: u32,
+    /// The index of the number among those of the token.
+    pub place: u32,
+}
+
+/// The buckets of a context.
+fn buckets(Frequencies(frequencies): &Frequencies) -> [Bucket; TOKENS] {
+    let mut left = frequencies.map(u32::from);
+    let mut buckets: [Bucket; TOKENS] = std::array::from_fn(|token| Bucket {
+        own_frequency: frequencies[token],
+        other_frequency: frequencies[token],
+        other_place: 0,
+        own: 0,
+        other: token as u8,
+    });
+    let (mut poor, mut rich): (Vec<usize>, Vec<usize>) =
+        (0..TOKENS).filter(|&token| left[token] != BUCKET).partition(|&token| left[token] < BUCKET);
+    while let (Some(from), Some(to)) = (rich.pop(), poor.pop()) {
+        // The rest of this token's bucket is filled from the end of the other token's numbers.
+        let own = left[to];
+        left[from] -= BUCKET - own;
+        buckets[to].own = own as u8;
+        buckets[to].other = from as u8;
+        buckets[to].other_frequency = frequencies[from];
+        buckets[to].other_place = (left[from] as i32 - own as i32) as i16;
+        match left[from] {
+            rest if rest < BUCKET => poor.push(from),
+            rest if rest > BUCKET => rich.push(from),
+            _ => {}
+        }
+    }
+    buckets
+}
+
+/// Calls `give` for all numbers below 4096 with the number's token, its index among that token's numbers, and
+/// the number.
+fn for_each_number(buckets: &[Bucket; TOKENS], mut give: impl FnMut(u8, u32, u32)) {
+    for (index, bucket) in buckets.iter().enumerate() {
+        let (first, own) = (index as u32 * BUCKET, u32::from(bucket.own));
+        (0..own).for_each(|place| give(index as u8, place, first + place));
+        let other_place = |place: u32| place.wrapping_add_signed(i32::from(bucket.other_place));
+        (own..BUCKET).for_each(|place| give(bucket.other, other_place(place), first + place));
+    }
+}
+
+/// The token of a number below 4096.
+#[inline]
+pub fn look_up(buckets: &[Bucket; TOKENS], number: u32) -> Slot {
+    let index = (number / BUCKET) as usize % TOKENS;
+    let bucket = &buckets[index];
+    let place = number % BUCKET;
+    // Selected without a branch, which would be unpredictable.
+    let is_own = place < u32::from(bucket.own);
+    let token = if is_own { index as u8 } else { bucket.other };
+    let frequency = if is_own { bucket.own_frequency } else { bucket.other_frequency };
+    let first = if is_own { 0 } else { bucket.other_place };
+    Slot { token, frequency: u32::from(frequency), place: place.wrapping_add_signed(i32::from(first)) }
+}
 
 /// The tables of a section's contexts.
 #[derive(Clone, Default)]
