@@ -1,15 +1,38 @@
-//! Blocks of LZ5 1.5. A sequence is a token, literals, an offset and a match:
-//!
-//! ```text
-//! 1_OO_LL_MMM   10-bit offset    00_LLL_MMM   16-bit offset
-//! 010_LL_MMM    24-bit offset    011_LL_MMM   the offset before
-//! ```
-//!
-//! The last sequence ends with its literals.
+//! LZ5 1.5: LZ77 without entropy coding, with short codes for near matches ("LZ5 v1.x Block Format
+//! Description" and "LZ5 Frame Format Description" by P. Skibinski and Y. Collet). The payload is a frame
+//! that the reference program decodes.
 
-use crate::backend::lz::parser::{Format, parse};
-use crate::backend::lz::{copy_literals, copy_match, take, take_number};
+use super::lz::{self, Format, FrameFormat, copy_literals, copy_match, parse, take, take_number};
+use super::{Backend, Level};
 use crate::ground::error::Result;
+
+/// At levels 1 to 9, 1 to 1024 earlier positions are tried for each byte.
+pub struct Lz5;
+
+const FORMAT: FrameFormat = FrameFormat {
+    magic: 0x184d_2205,
+    block_sizes: [64 << 10, 256 << 10, 1 << 20, 4 << 20, 16 << 20, 64 << 20, 256 << 20],
+};
+const DEPTH: [usize; 9] = [1, 2, 4, 8, 16, 32, 64, 256, 1024];
+
+impl Backend for Lz5 {
+    fn id(&self) -> u8 {
+        7
+    }
+
+    fn name(&self) -> &'static str {
+        "lz5"
+    }
+
+    #[cfg(not(target_family = "wasm"))]
+    fn compress(&self, input: &[u8], level: Level) -> Result<Vec<u8>> {
+        Ok(lz::encode_frame(input, &FORMAT, |bytes| encode_block(bytes, level.of(DEPTH))))
+    }
+
+    fn decompress_unchecked(&self, input: &[u8], length: usize) -> Result<Vec<u8>> {
+        lz::decode_frame(input, &FORMAT, length, decode_block)
+    }
+}
 
 /// Matches are at least this long; lengths in tokens are relative to it.
 const SHORTEST: usize = 3;
@@ -78,7 +101,7 @@ impl Kind {
 ///
 /// # Errors
 /// If the block is damaged.
-pub fn decode(mut block: &[u8], out: &mut Vec<u8>, most: usize) -> Result<()> {
+fn decode_block(mut block: &[u8], out: &mut Vec<u8>, most: usize) -> Result<()> {
     let input = &mut block;
     let mut offset = 1;
     loop {
@@ -116,7 +139,7 @@ fn take_length(input: &mut &[u8], field: usize, most: usize) -> Result<usize> {
 }
 
 /// Compresses a block; `depth` is the effort.
-pub fn encode(input: &[u8], depth: usize) -> Vec<u8> {
+fn encode_block(input: &[u8], depth: usize) -> Vec<u8> {
     let mut out = Vec::new();
     let (mut at, mut last) = (0, Lz5Format::FIRST_OFFSET);
     for sequence in parse(&Lz5Format, input, 0, depth) {
