@@ -1,14 +1,14 @@
-//! LAS: records of fixed size after a header that gives the step size of their integer coordinates.
+//! LAS: records of fixed size after a header that gives the step size of their integer coordinates
+//! (FORMAT.md 9).
 //!
 //! Source: ASPRS, "LAS Specification 1.4 - R15". Compressed files (LAZ) are not read as records.
 
 use byteorder::{ByteOrder, LittleEndian};
 
 use super::field::layout_of;
-use super::records::plain_file;
-use super::scaled;
+use super::records::{Parts, plain_file};
 use crate::ground::rounding::round_ties_even;
-use crate::scan::{Axis, Field, ScalarType, ScanFile, Wrapping};
+use crate::scan::{Axis, Field, Layout, ScalarType, ScanFile, Wrapping};
 
 const MAGIC: &[u8] = b"LASF";
 /// Bytes of the header up to version 1.2; later headers are longer.
@@ -84,7 +84,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
         layout_of([&coordinates[..], &header.others].concat(), Wrapping::Plain)
     };
     let scaled = header.axes().into_iter().flatten().find_map(|axes| {
-        scaled::parse(with(["x", "y", "z"], ScalarType::F32)?, axes, bytes, header.start, header.records)
+        parse_scaled(with(["x", "y", "z"], ScalarType::F32)?, axes, bytes, header.start, header.records)
     });
     // The fallback: integers, which are not known as coordinates.
     let plain = || {
@@ -142,6 +142,42 @@ fn fields(format: u8) -> Option<Vec<Field>> {
         parts.extend([&wave[..], &wave_of_return]);
     }
     Some(parts.into_iter().flat_map(of).collect())
+}
+
+/// Splits a file whose records follow one another from byte `start` on, at most `count` of them. The layout
+/// has float32 fields x, y and z in place of the integers. `None` if the layout is not valid, or if some
+/// integer could not be restored from its float32 value.
+fn parse_scaled(layout: Layout, axes: [Axis; 3], bytes: &[u8], start: usize, count: u64) -> Option<ScanFile> {
+    let layout = Layout { wrapping: Wrapping::Scaled(axes), ..layout };
+    layout.validate().ok()?;
+    let parts = Parts::of(bytes, start, layout.stride(), count)?;
+    let mut metres = parts.body.to_vec();
+    to_metres(&mut metres, &layout, &axes);
+    let mut again = metres.clone();
+    to_steps(&mut again, &layout, &axes);
+    (again == parts.body).then(|| parts.file(layout, &metres))
+}
+
+fn to_metres(body: &mut [u8], layout: &Layout, axes: &[Axis; 3]) {
+    each_coordinate(body, layout, axes, |axis, value| {
+        LittleEndian::write_f32(value, axis.metres(LittleEndian::read_i32(value)));
+    });
+}
+
+/// Converts the coordinates in whole records to the integers of the file.
+pub(super) fn to_steps(body: &mut [u8], layout: &Layout, axes: &[Axis; 3]) {
+    each_coordinate(body, layout, axes, |axis, value| {
+        LittleEndian::write_i32(value, axis.steps(LittleEndian::read_f32(value), [i32::MIN, i32::MAX]));
+    });
+}
+
+fn each_coordinate(body: &mut [u8], layout: &Layout, axes: &[Axis; 3], change: impl Fn(&Axis, &mut [u8])) {
+    let Some(offsets) = layout.position_offsets() else { return };
+    for record in body.chunks_exact_mut(layout.stride().max(1)) {
+        for (at, axis) in offsets.into_iter().zip(axes) {
+            change(axis, &mut record[at..at + 4]);
+        }
+    }
 }
 
 #[cfg(test)]

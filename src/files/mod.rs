@@ -7,7 +7,6 @@
 #[cfg(feature = "cli")]
 mod arrival;
 mod arrow;
-mod big_endian;
 mod by_field;
 mod convert;
 mod field;
@@ -19,12 +18,9 @@ pub mod names;
 mod number;
 mod numpy;
 mod pcd;
-mod pcd_compressed;
 mod places;
 mod ply;
-mod point_count;
 mod records;
-mod scaled;
 #[cfg(feature = "cli")]
 pub mod sequence;
 mod table;
@@ -37,13 +33,12 @@ mod widened;
 
 #[cfg(feature = "cli")]
 pub use arrival::{ArrivedFile, ArrivingFrames};
-#[cfg(feature = "recordings")]
-pub(crate) use big_endian::parse as big_endian_file;
 pub use convert::{FileFormat, convert, is_convertible};
 pub use field::MOST_FIELDS;
 pub(crate) use field::{INTENSITY, POSITION};
 pub use headerless::HeaderlessLayout;
-pub use point_count::with_point_count;
+#[cfg(feature = "recordings")]
+pub(crate) use records::parse_big_endian as big_endian_file;
 pub(crate) use records::{are_intensities, plain_file};
 
 use self::table::Table;
@@ -246,7 +241,7 @@ pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Resu
         Wrapping::Arrow { .. } => {}
         Wrapping::Plain => records::give(file, |block| give(block))?,
         Wrapping::PcdCompressed { lzf } => {
-            give(&pcd_compressed::write(&records::join(file)?, &file.layout, *lzf)?)?;
+            give(&pcd::write_compressed(&records::join(file)?, &file.layout, *lzf)?)?;
         }
         Wrapping::Text(format) => {
             let mut text = TextWriter::new(format);
@@ -257,11 +252,11 @@ pub fn write(file: &ScanFile, mut give: impl FnMut(&[u8]) -> Result<()>) -> Resu
         }
         Wrapping::ByField(fields) => give(&by_field::write(&records::join(file)?, &file.layout, fields)?)?,
         Wrapping::Scaled(axes) => records::give(file, |block| {
-            scaled::to_steps(block, &file.layout, axes);
+            las::to_steps(block, &file.layout, axes);
             give(block)
         })?,
         Wrapping::BigEndian => records::give(file, |block| {
-            big_endian::swap(block, &file.layout);
+            records::swap_bytes(block, &file.layout);
             give(block)
         })?,
     }
@@ -292,6 +287,45 @@ impl ScanFile {
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         collected(|give| write(self, give))
     }
+}
+
+/// The header of a file, with everything before its points, changed to `points` points. Bytes that are not a
+/// header, or a header without a number of points, are returned unchanged.
+pub fn with_point_count(header: &[u8], points: usize) -> Vec<u8> {
+    let in_place = las::with_point_count(header, points)
+        .or_else(|| numpy::with_point_count(header, points))
+        .or_else(|| arrow::with_point_count(header, points));
+    in_place.unwrap_or_else(|| with_count_in_lines(header, points))
+}
+
+/// As [`with_point_count`], for PCD and PLY.
+fn with_count_in_lines(header: &[u8], points: usize) -> Vec<u8> {
+    let is_ply = header.starts_with(b"ply");
+    let mut out = Vec::with_capacity(header.len());
+    let mut is_over = false;
+    for line in header.split_inclusive(|&byte| byte == b'\n') {
+        let words: Vec<&[u8]> = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).collect();
+        is_over |= matches!(words[..], [b"end_header"] | [b"DATA", _]);
+        let (count, number) = match words[..] {
+            _ if is_over => {
+                out.extend_from_slice(line);
+                continue;
+            }
+            [b"element", b"vertex", number] if is_ply => (points, number),
+            [b"WIDTH" | b"POINTS", number] if !is_ply => (points, number),
+            // One row, because the remaining points of an organised cloud are no longer a table.
+            [b"HEIGHT", number] if !is_ply => (1, number),
+            _ => {
+                out.extend_from_slice(line);
+                continue;
+            }
+        };
+        let start = number.as_ptr() as usize - line.as_ptr() as usize;
+        out.extend_from_slice(&line[..start]);
+        out.extend_from_slice(count.to_string().as_bytes());
+        out.extend_from_slice(&line[start + number.len()..]);
+    }
+    out
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 //! Source: NumPy, `numpy.lib.format`, versions 1 to 3.
 
 use super::field::{Declared, FEWEST_COLUMNS, layout_of, names_coordinates, usual_names};
-use super::{big_endian, by_field, field, widened};
+use super::{by_field, field, records, widened};
 use crate::scan::{Field, ScalarType, ScanFile, Wrapping};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
@@ -103,7 +103,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     let layout = layout_of(header.fields, Wrapping::Plain)?;
     match (header.is_by_field, header.is_big_endian) {
         (false, false) => widened::parse(layout, &header.halves, bytes, header.length, header.records),
-        (false, true) => big_endian::parse(layout, bytes, header.length, header.records),
+        (false, true) => records::parse_big_endian(layout, bytes, header.length, header.records),
         (true, false) => by_field::parse(layout, &header.halves, bytes, header.length, header.records),
         (true, true) => None,
     }

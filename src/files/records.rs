@@ -1,4 +1,5 @@
-//! Records as bytes and as a cloud of points. FORMAT.md 9.
+//! Records as bytes and as a cloud of points, also those whose values are big-endian, as in a
+//! `binary_big_endian` PLY. FORMAT.md 9.
 
 use std::ops::Range;
 
@@ -224,5 +225,28 @@ pub(super) fn check(file: &ScanFile) -> Result<()> {
     match fits {
         true => Ok(()),
         false => Err(Error::corrupt("points do not match the record layout")),
+    }
+}
+
+/// Splits a file whose records follow one another from byte `start` on, at most `records` of them. `None` if
+/// the layout is not valid.
+pub(crate) fn parse_big_endian(layout: Layout, bytes: &[u8], start: usize, records: u64) -> Option<ScanFile> {
+    let layout = Layout { wrapping: Wrapping::BigEndian, ..layout };
+    layout.validate().ok()?;
+    let parts = Parts::of(bytes, start, layout.stride(), records)?;
+    let mut swapped = parts.body.to_vec();
+    swap_bytes(&mut swapped, &layout);
+    Some(parts.file(layout, &swapped))
+}
+
+/// Reverses the bytes of each value in whole records.
+pub(super) fn swap_bytes(records: &mut [u8], layout: &Layout) {
+    for record in records.chunks_exact_mut(layout.stride().max(1)) {
+        let mut rest = record;
+        for field in &layout.fields {
+            let (values, after) = rest.split_at_mut(field.width());
+            values.chunks_exact_mut(field.scalar.size() as usize).for_each(<[u8]>::reverse);
+            rest = after;
+        }
     }
 }

@@ -318,3 +318,14 @@ proptest! {
         prop_assert!(file.to_bytes().is_ok() || !fitting || is_arrow);
     }
 }
+
+#[test]
+fn counts_are_replaced_and_the_rest_stays() {
+    let pcd = b"# .PCD\nFIELDS x\nWIDTH 100\nHEIGHT 2\r\nPOINTS  200\nDATA binary\n";
+    let fewer = b"# .PCD\nFIELDS x\nWIDTH 7\nHEIGHT 1\r\nPOINTS  7\nDATA binary\n";
+    assert_eq!(with_point_count(pcd, 7), fewer);
+    let ply = b"ply\ncomment POINTS 3\nelement vertex 20\nelement face 3\nPOINTS 3\n";
+    let fewer = b"ply\ncomment POINTS 3\nelement vertex 7\nelement face 3\nPOINTS 3\n";
+    assert_eq!(with_point_count(ply, 7), fewer);
+    assert_eq!(with_point_count(b"", 7), b"");
+}
