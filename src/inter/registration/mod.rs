@@ -1,7 +1,6 @@
 //! The motion of the scanner from one frame to the next (article, V-A and V-B). Only the encoder estimates
 //! it; both sides apply it.
 
-mod guess;
 #[cfg(feature = "article")]
 mod icp;
 mod pose;
@@ -133,7 +132,7 @@ pub fn register(
             if found.is_some_and(|found| found.fit >= CERTAIN_FIT) {
                 return found;
             }
-            let others = guess::starts(&aim, &surfels);
+            let others = projective::starts(&aim, &surfels);
             let all = found.into_iter().chain(others.iter().filter_map(from));
             all.max_by(|a, b| a.fit.total_cmp(&b.fit))
         }
