@@ -5,13 +5,9 @@
 //! fit. Where an earlier frame has a return in a cell, two more predictors, features for a separate
 //! least-squares fit, and contexts are added.
 
-mod back;
-mod bins;
 mod deep;
-mod errors;
 mod halving;
 mod mixture;
-mod neighbourhood;
 mod residuals;
 mod site;
 mod tokens;
@@ -22,15 +18,12 @@ use super::shape::ErrorShape;
 use crate::entropy::{BitCoder, Counter, Logistic, MixedBits};
 use crate::ground::grid::Grid;
 use crate::inter::Reference;
-use back::{Back, ReferenceErrors, Surroundings};
-pub use bins::RangeScale;
 use deep::{DeepModel, DeepSite, Referred};
-use errors::NearbyErrors;
 use halving::Halving;
+pub use halving::RangeScale;
 use mixture::{Interval, Mixture, Rates};
-use neighbourhood::Window;
 use residuals::{Classes, Residuals, Rows};
-use site::{Site, pair};
+use site::{Back, NearbyErrors, ReferenceErrors, Site, Surroundings, Window, pair};
 pub use tokens::{KnownCells, RANGE_CONTEXTS, RangeTokens, start_tables};
 
 /// Number of features of the least-squares predictor, of those of the reference, and of both.

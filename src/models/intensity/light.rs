@@ -4,7 +4,7 @@
 use std::hint::select_unpredictable;
 use std::mem::take;
 
-use super::neighbours::{IntensityNeighbours, TYPICAL_LEVEL};
+use super::{IntensityNeighbours, TYPICAL_LEVEL};
 use crate::entropy::{BitCoder, Counter, Logistic};
 
 /// Binary logarithm of the number of slots of each view, for small frames and for large ones; contexts share

@@ -1,24 +1,24 @@
 //! The deep model of ranges: more least-squares fits, among them one for each stretch of columns; several
-//! sets of weights for the same predictors, each with its own contexts; and mixing in two layers.
-//! FORMAT.md 8.6, "deep".
+//! sets of weights for the same predictors, each with its own contexts; and mixing in two layers. FORMAT.md
+//! 8.6, "deep".
 //!
 //! Cells with and without a reference are treated alike: the reference, if there is one, contributes
 //! contexts.
+//!
+//! After the model come the fits, and the one that blends their predictions; a cell's predictions and
+//! contexts; and halving under a mixture with several sets of weights.
 
-mod fits;
-mod halving;
-mod site;
-
-use super::bins::RangeScale;
-use super::halving::{code_bin, first_bucket};
-use super::mixture::{Interval, Mixture, Rates};
-use super::{ACTIVITY_LEVELS, CONTEXTS, Coded, ERROR_LEVELS, NODES, REFERENCE_LEVELS, first_scale};
+use super::halving::{Bins, Halves, RangeScale, code_bin, first_bucket};
+use super::mixture::{Interval, Mixture, Predicted, Rates};
+use super::site::{Back, SURROUNDING_FEATURES, Site, Surroundings, intensity_change, pair};
+use super::{
+    ACTIVITY_LEVELS, ALL_FEATURES, CONTEXTS, Coded, EDGES, ERROR_LEVELS, FEATURE_REACH, FEATURES,
+    LONG_MEMORY, NODES, REFERENCE_FEATURES, REFERENCE_LEVELS, first_scale, within_reach,
+};
 use crate::entropy::{BitCoder, LayeredBits, LayeredContext, Logistic, MixContexts};
+use crate::models::least_squares::BatchedLeastSquares;
+use crate::models::quantise::signed_level;
 use crate::models::shape::ErrorShape;
-use fits::Fits;
-use halving::DeepHalving;
-use site::SetContexts;
-pub use site::{DeepSite, Referred};
 
 /// Predictors in the mixture.
 const PREDICTORS: usize = 8;
@@ -139,6 +139,325 @@ impl DeepModel {
         self.mixture.learn(&predicted, &interval, range as f32);
         self.fits.learn(site, &fitted, range as f64);
         Coded { range, fit: fitted.blend, hinted: fitted.hinted, base }
+    }
+}
+
+/// Number of features of the wide fit: of near and farther neighbours, of intensities, of the reference and
+/// its surroundings; the last two features are always 0.
+const WIDE_FEATURES: usize = 28;
+const FARTHER: usize = FEATURES;
+const INTENSITIES: usize = FARTHER + 4;
+const REFERENCE: usize = INTENSITIES + 4;
+const SURROUNDINGS: usize = REFERENCE + REFERENCE_FEATURES;
+/// Number of features of the blend: the predictions of the other fits, three ranges, two more that continue
+/// from neighbours as the reference does, the surrounding errors, and a constant, in steps.
+const BLEND_FEATURES: usize = 12;
+const ALWAYS: f64 = 10.0;
+/// Columns that share a local fit.
+const STRETCH: usize = 64;
+/// Weights of older samples. Fits to the last few returns forget quickly, and are solved again after every
+/// `SOON` samples.
+const SHORT_MEMORY: f32 = 0.97;
+const SOON: u32 = 8;
+
+/// The fits.
+#[derive(Clone)]
+struct Fits {
+    /// Fits by kind of edge; those with a reference follow those without.
+    wide: Vec<BatchedLeastSquares<WIDE_FEATURES>>,
+    /// Fits to the last few returns, by kind of edge.
+    recent: Vec<BatchedLeastSquares<FEATURES>>,
+    /// Fits to the last few returns in a stretch of columns, in this row and those above.
+    local: Vec<BatchedLeastSquares<ALL_FEATURES>>,
+    /// Fits to the predictions of these, by class of error.
+    blend: Vec<BatchedLeastSquares<BLEND_FEATURES>>,
+}
+
+/// The predictions of the fits for a cell, in steps from the left neighbour, with their features.
+pub struct Fitted {
+    pub recent: f64,
+    pub local: f64,
+    pub blend: f64,
+    /// The blend plus the offset from the surrounding residuals.
+    pub hinted: f64,
+    pub wide: f64,
+    wide_fit: usize,
+    stretch: usize,
+    wide_features: [f32; WIDE_FEATURES],
+    local_features: [f32; ALL_FEATURES],
+    blend_features: [f32; BLEND_FEATURES],
+}
+
+impl Default for Fits {
+    fn default() -> Self {
+        Fits {
+            wide: vec![BatchedLeastSquares::new(LONG_MEMORY); 2 * EDGES],
+            recent: vec![BatchedLeastSquares::new(SHORT_MEMORY).solved_every(SOON); EDGES],
+            local: Vec::new(),
+            blend: vec![BatchedLeastSquares::new(LONG_MEMORY).solved_every(SOON); ERROR_LEVELS],
+        }
+    }
+}
+
+impl Fits {
+    /// Prepares for an image of `columns` columns.
+    fn start_frame(&mut self, columns: usize) {
+        let stretches = columns.div_ceil(STRETCH).max(self.local.len());
+        self.local.resize(stretches, BatchedLeastSquares::new(SHORT_MEMORY).solved_every(SOON));
+    }
+
+    /// Copies the learned state of the fits without a reference to those with one.
+    fn spread(&mut self) {
+        let (alone, referred) = self.wide.split_at_mut(EDGES);
+        referred.clone_from_slice(alone);
+    }
+
+    /// Predicts the range of a cell; `hint` is the offset from the surrounding residuals, in steps.
+    #[inline]
+    fn predict(&self, site: &Site, column: usize, referred: Option<&Referred>, hint: f64) -> Fitted {
+        let mut wide_features = [0.0; WIDE_FEATURES];
+        wide_features[..FARTHER].copy_from_slice(&site.features);
+        wide_features[FARTHER..INTENSITIES].copy_from_slice(&site.near.farther_features());
+        wide_features[INTENSITIES..REFERENCE].copy_from_slice(&intensity_features(site.intensities));
+        let mut local_features = [0.0; ALL_FEATURES];
+        local_features[..FEATURES].copy_from_slice(&site.features);
+        if let Some(Referred { back, around }) = referred {
+            let of_reference = back.features(&site.near);
+            local_features[FEATURES..].copy_from_slice(&of_reference);
+            wide_features[REFERENCE..SURROUNDINGS].copy_from_slice(&of_reference);
+            wide_features[SURROUNDINGS..][..SURROUNDING_FEATURES]
+                .copy_from_slice(&around.features(&site.near));
+        }
+        let wide_fit = site.edge + if referred.is_some() { EDGES } else { 0 };
+        let stretch = column / STRETCH;
+        let wide = within_reach(self.wide[wide_fit].predict(&wide_features));
+        let recent = within_reach(self.recent[site.edge].predict(&site.features));
+        let local = within_reach(self.local[stretch].predict(&local_features));
+
+        let near = &site.near;
+        let [same, moved, on_from_west, on_from_north] = match referred {
+            None => [wide; 4],
+            Some(Referred { back, around }) => [
+                back.same - near.west,
+                back.moved - near.west,
+                back.moved - around.moved_west,
+                near.north - near.west + back.moved - around.moved_north,
+            ],
+        };
+        let differences = [
+            wide,
+            recent,
+            local,
+            near.north - near.west,
+            same,
+            moved,
+            on_from_west,
+            on_from_north,
+            site.errors[0],
+            site.errors[1],
+            site.errors[2],
+            ALWAYS,
+        ];
+        let blend_features = differences
+            .map(|difference| difference.clamp(-f64::from(FEATURE_REACH), FEATURE_REACH.into()) as f32);
+        let blend = within_reach(self.blend[site.error_level].predict(&blend_features));
+        Fitted {
+            recent,
+            local,
+            blend,
+            hinted: within_reach(blend + hint),
+            wide,
+            wide_fit,
+            stretch,
+            wide_features,
+            local_features,
+            blend_features,
+        }
+    }
+
+    /// Adapts the fits to the coded range, in steps.
+    #[inline]
+    fn learn(&mut self, site: &Site, fitted: &Fitted, range: f64) {
+        let (target, weight) = site.sample(fitted.recent, range);
+        self.recent[site.edge].learn(&site.features, target, weight);
+        let (target, weight) = site.sample(fitted.wide, range);
+        self.wide[fitted.wide_fit].learn(&fitted.wide_features, target, weight);
+        let (target, weight) = site.sample(fitted.local, range);
+        self.local[fitted.stretch].learn(&fitted.local_features, target, weight);
+        let (target, weight) = site.sample(fitted.blend, range);
+        self.blend[site.error_level].learn(&fitted.blend_features, target, weight);
+    }
+}
+
+/// The differences between the cell's intensity and those to the left and above, in levels and in a measure
+/// that singles out weak returns, which are measured late. 0 for neighbours without a return.
+#[inline]
+fn intensity_features([own, west, north]: [u16; 3]) -> [f32; 4] {
+    let weakness = |level: u16| 40.0 / (f32::from(level) + 2.0);
+    let change = |other: u16| if other == 0 { 0.0 } else { f32::from(own) - f32::from(other) };
+    let change_of_weakness = |other: u16| if other == 0 { 0.0 } else { weakness(own) - weakness(other) };
+    [change(west), change(north), change_of_weakness(west), change_of_weakness(north)]
+}
+
+/// The values of an earlier frame for a cell and around it.
+pub struct Referred {
+    pub back: Back,
+    pub around: Surroundings,
+}
+
+/// A cell to be coded.
+pub struct DeepSite<'a> {
+    pub site: &'a Site,
+    pub cell: (usize, usize),
+    pub referred: Option<Referred>,
+}
+
+/// The contexts that select the weights of the mixers and the maps that refine their result.
+#[derive(Clone, Copy)]
+pub struct SetContexts {
+    /// 0 without a reference, otherwise the class of its errors plus 1.
+    pub kind: usize,
+    pub error_level: usize,
+    /// The row; those below the last row with its own contexts share that row's.
+    pub row: usize,
+    /// The difference of the intensity from that of the reference; 0 without a reference.
+    pub recognition: usize,
+}
+
+impl SetContexts {
+    /// The contexts of a cell.
+    pub fn of(DeepSite { site, cell, referred }: &DeepSite) -> Self {
+        let (kind, recognition) = referred.as_ref().map_or((0, 0), |Referred { back, around }| {
+            let change = |level| intensity_change(site.intensities[0], level);
+            (1 + back.level, 1 + change(around.same_level) * 8 + change(around.moved_level))
+        });
+        let row = cell.0.min(ROWS - 1);
+        SetContexts { kind, error_level: site.error_level, row, recognition }
+    }
+
+    /// The weight set of each mixer at a node.
+    #[inline]
+    pub fn sets(&self, node: usize) -> [usize; MIXERS] {
+        [
+            (self.kind * NODES + node) * ERROR_LEVELS + self.error_level,
+            self.row * NODES + node,
+            self.recognition * NODES + node,
+        ]
+    }
+}
+
+impl DeepSite<'_> {
+    /// The predictions that are mixed: the line through the two returns to the left, three fits, the left
+    /// neighbour for surprises, and the moved layer here and in the neighbouring cells.
+    pub fn predictions(&self, fitted: &Fitted) -> [f32; PREDICTORS] {
+        let near = &self.site.near;
+        let [recent, local, blend] = [fitted.recent, fitted.local, fitted.hinted].map(|fit| near.west + fit);
+        let [moved, moved_west, moved_east] = match &self.referred {
+            None => [near.west + fitted.wide; 3],
+            Some(Referred { back, around }) => [back.moved, around.moved_west, around.moved_east],
+        };
+        [2.0 * near.west - near.west2, recent, local, blend, near.west, moved, moved_west, moved_east]
+            .map(|value| value as f32)
+    }
+
+    /// The context of each of the mixture's sets of weights.
+    fn mixture_contexts(&self, contexts: &SetContexts) -> [usize; SETS] {
+        let SetContexts { kind, error_level, recognition, .. } = *contexts;
+        [
+            kind * CONTEXTS + self.site.context,
+            (self.site.change * OWN_LEVELS + own_level(self.site)) * ERROR_LEVELS + error_level,
+            (recognition * KINDS + kind) * ERROR_LEVELS + error_level,
+        ]
+    }
+
+    /// The context of each view for this base.
+    pub fn views(&self, contexts: &SetContexts, fitted: &Fitted, base: f64) -> [usize; VIEWS] {
+        let SetContexts { kind, error_level, row, recognition, .. } = *contexts;
+        let near = &self.site.near;
+        let [_, errors, own, change] = self.site.views;
+        let wide = near.west + fitted.wide;
+        let [same, moved] = self
+            .referred
+            .as_ref()
+            .map_or([wide; 2], |Referred { back, .. }| [back.same, back.moved])
+            .map(|range| range - base);
+        [
+            pair(near.west - base, near.north - base),
+            errors,
+            own,
+            change,
+            signed_level(same as i32) * 32 + kind * 4 + error_level / 3,
+            pair(same, moved),
+            row * ERROR_LEVELS + error_level,
+            recognition * ERROR_LEVELS + error_level,
+        ]
+    }
+}
+
+/// The class of the cell's own intensity.
+fn own_level(site: &Site) -> usize {
+    usize::from(site.intensities[0] / 8).min(OWN_LEVELS - 1)
+}
+
+/// The state of halving one range.
+struct DeepHalving<'a, C> {
+    coder: &'a mut C,
+    shape: &'a ErrorShape,
+    tables: &'static Logistic,
+    range_bits: u32,
+    bins: Bins,
+    mixture: &'a Mixture<PREDICTORS, SETS>,
+    predicted: &'a Predicted<PREDICTORS, SETS>,
+    /// The remaining bins.
+    interval: Interval<PREDICTORS, SETS>,
+    bits: &'a mut DeepBits,
+    views: [usize; VIEWS],
+    contexts: SetContexts,
+    /// The encoder's bin.
+    bin: i64,
+    /// The mean of the log odds of the mixture's sets of weights for the last halves.
+    odds: f32,
+}
+
+impl<C: BitCoder> Halves for DeepHalving<'_, C> {
+    const CORRECTED: usize = 2;
+
+    #[inline]
+    fn ends(&self) -> (i64, i64) {
+        (self.interval.low, self.interval.high)
+    }
+
+    #[inline]
+    fn halve(&mut self, middle: i64, node: Option<usize>) -> bool {
+        let start = self.bins.start(middle, self.range_bits);
+        let below_middle = self.mixture.below(self.shape, self.predicted, start, self.range_bits);
+        let odds = self.interval.split(&below_middle, self.tables);
+        self.odds = (odds[0] + odds[1] + odds[2]) * (1.0 / 3.0);
+        let bit = self.bin >= middle;
+        let bit = match node {
+            None => self.coder.code(bit, self.tables.squash(self.odds)),
+            Some(node) => {
+                let SetContexts { error_level, row, .. } = self.contexts;
+                let context = LayeredContext {
+                    views: self.views.map(|view| view * NODES + node),
+                    mixer: MixContexts {
+                        sets: self.contexts.sets(node),
+                        last: node,
+                        refinements: [node * ERROR_LEVELS + error_level, row * NODES + node],
+                    },
+                };
+                self.bits.code(self.coder, &context, &odds, bit)
+            }
+        };
+        self.interval.cut(bit, middle, &below_middle);
+        bit
+    }
+
+    #[inline]
+    fn halve_evenly(&mut self, middle: i64) {
+        self.odds *= 0.5;
+        let upper = self.coder.code(self.bin >= middle, self.tables.squash(self.odds));
+        *(if upper { &mut self.interval.low } else { &mut self.interval.high }) = middle;
     }
 }
 
