@@ -9,7 +9,6 @@ mod fit;
 mod formula;
 mod heights;
 mod model;
-mod near;
 mod positions;
 mod projection;
 mod sharpen;

@@ -6,8 +6,7 @@ use crate::ground::error::{Error, Result};
 use crate::ground::varint::{
     read_f64, read_signed, read_within, unzigzag, write_signed, write_unsigned, zigzag,
 };
-use crate::scanner::motion::units::UnitModel;
-use crate::scanner::motion::unless_nan;
+use crate::scanner::motion::{UnitModel, unless_nan};
 
 /// The section's name in errors.
 const WHAT: &str = "world";

@@ -4,8 +4,8 @@
 
 use nalgebra::Matrix3;
 
-use super::anchor::spacing;
 use super::path::{Information, PathFirings, Six};
+use super::refine::spacing;
 use super::sweep::{
     FAR_STEPS, Hdl32e, Matrix, Reading, Returnless, Ticks, Vector, returnless, shared_place, ticks, turned,
 };
