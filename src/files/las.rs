@@ -7,7 +7,7 @@ use byteorder::{ByteOrder, LittleEndian};
 
 use super::field::layout_of;
 use super::records::{Parts, plain_file};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::scan::{Axis, Field, Layout, ScalarType, ScanFile, Wrapping};
 
 const MAGIC: &[u8] = b"LASF";

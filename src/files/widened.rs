@@ -8,7 +8,7 @@ use super::field::{is_coordinate, is_intensity, layout_of};
 use super::number::{self, NumberWriter};
 use super::records::Parts;
 use crate::ground::error::{Error, Result};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::scan::{Axis, Column, Field, Layout, NumberRule, ScalarType, ScanFile, Widening, Wrapping};
 
 /// Splits a file as [`plain_file`](super::records::plain_file) does, but doubles that float32 determines

@@ -4,8 +4,8 @@
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
+use super::floats::round_ties_even;
 use super::lanes::lanes;
-use super::rounding::round_ties_even;
 
 /// The tangent of pi / 8.
 const EIGHTH: f64 = 0.414_213_562_373_095_03;

@@ -8,8 +8,7 @@ use std::sync::Arc;
 
 use rayon::ThreadPool;
 
-use super::range_image::RangeImage;
-use super::scan::Scan;
+use super::scan::{RangeImage, Scan};
 use crate::container::{FrameHeader, FrameKind, IndexedReader, Stamp, StreamReader};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::team::{on, pool_for_frames, resolve_threads};

@@ -2,16 +2,14 @@
 
 mod decoder;
 mod encoder;
-mod range_image;
 mod scalar;
 mod scan;
 mod settings;
 
 pub use decoder::{Decoder, FrameDetails, FrameInfo, Scans};
 pub use encoder::{Encoder, MessageEncoder, Summary};
-pub use range_image::RangeImage;
 pub use scalar::{ChannelValues, Scalar};
-pub use scan::{ChannelInfo, Scan};
+pub use scan::{ChannelInfo, RangeImage, Scan};
 pub use settings::Settings;
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //! and as tokens. FORMAT.md 8.7 and 8.16.
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel, TokenCoder};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::ground::varint::{unzigzag, zigzag};
 use crate::scan::squared_distance;
 use crate::scanner::CoordinateGrid;

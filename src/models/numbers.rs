@@ -3,8 +3,7 @@
 
 use byteorder::{ByteOrder, LittleEndian};
 
-use crate::ground::float_order::{bits_of_rank32, bits_of_rank64, rank32, rank64};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::{bits_of_rank32, bits_of_rank64, rank32, rank64, round_ties_even};
 use crate::scan::ScalarType;
 
 /// How values become integers.

@@ -4,7 +4,7 @@
 use super::scalar::ScalarType;
 use super::text_format::{NumberRule, TextFormat};
 use crate::ground::error::{Error, Result};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::ground::varint::{read_unsigned, write_unsigned};
 
 /// The longest record, in bytes. Scanners' records have 12 to about 50 bytes, those of point features a few

@@ -2,8 +2,7 @@
 //! grid. FORMAT.md 3.4.
 
 use crate::ground::decimal;
-use crate::ground::float_order::{of_rank, rank};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::{of_rank, rank, round_ties_even};
 
 /// The grid of the coordinates. A *unit* is the distance between neighbouring values of that grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -9,7 +9,7 @@ use std::ops::Neg;
 use super::{median, thinned};
 use crate::ground::angle;
 use crate::ground::error::{Error, Result};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 
 /// For each axis of the scanner, the axis of the file and whether it is reversed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

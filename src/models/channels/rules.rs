@@ -4,7 +4,7 @@
 
 use super::integers::{ENTRIES, IntegersModel, Site, slot};
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::ground::float_order::{of_rank, rank};
+use crate::ground::floats::{of_rank, rank};
 
 /// What an integer follows from, relative to what the position or the place implies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

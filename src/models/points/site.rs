@@ -1,7 +1,7 @@
 //! What is known around a point that is about to be coded, and where it is therefore expected. FORMAT.md 8.4,
 //! Coordinates.
 
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::models::LeastSquares;
 
 /// A position to predict from; coordinates that are not finite count as 0.

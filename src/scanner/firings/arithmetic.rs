@@ -5,9 +5,9 @@ use std::f64::consts::PI;
 
 use super::Laser;
 use super::recipe::{Axes, FINE_TICKS, Origin, Recipe, SumPrecision, radians};
+use crate::ground::floats::round_ties_even;
 use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
-use crate::ground::rounding::round_ties_even;
 
 /// Radians per degree in single precision.
 const DEGREE: f32 = (PI / 180.0) as f32;

@@ -5,7 +5,7 @@ use super::projection::{Column, Place};
 use super::timing::{Span, passed_ticks};
 use super::{Firings, Timing};
 use crate::ground::angle::shorter_way;
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 
 impl Firings {
     /// The average number of ticks from one block to the next.

@@ -8,7 +8,7 @@ use super::constants::Point;
 use super::projection::{Column, LONGEST, Place};
 use super::timing::Span;
 use super::{Build, Firings};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::scan::PointCloud;
 use crate::scanner::{CoordinateGrid, Projection, Return};
 

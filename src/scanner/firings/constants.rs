@@ -10,7 +10,7 @@ use super::arithmetic::whole_steps;
 use super::blur::Blur;
 use super::recipe::SumPrecision;
 use super::{ANGLE_UNIT, Build, Firings, Laser, Mounting, Origin, Recipe};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::scanner::Return;
 use crate::scanner::motion::Displacement;
 

@@ -14,7 +14,7 @@ use super::projection::{nearest, without_echoes};
 use super::timing::Span;
 use super::{Build, Firings, Origin, Recipe, Timing};
 use crate::ground::angle::shorter_way;
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::scan::{PointCloud, ScanFile, fullest};
 use crate::scanner::{CoordinateGrid, PLAUSIBLE_LASERS, REACH};
 

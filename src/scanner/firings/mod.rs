@@ -49,8 +49,8 @@ use rayon::prelude::*;
 use pulp::NullaryFnOnce;
 
 use crate::ground::angle;
+use crate::ground::floats::round_ties_even;
 use crate::ground::lanes::{dispatch, lanes};
-use crate::ground::rounding::round_ties_even;
 use crate::scanner::hdl64::{BeamConstants, Hdl64};
 use crate::scanner::{CoordinateGrid, RangeImage, Return, median};
 use arithmetic::{Arithmetic, MOST_LOCATED, TurnTable};

@@ -12,7 +12,7 @@ use super::order::{FiringOrder, lines, order};
 use super::projection::{Place, nearest};
 use super::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, Timing};
 use crate::ground::angle;
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::scan::{Channel, PointCloud};
 use crate::scanner::{CoordinateGrid, PLAUSIBLE_LASERS, REACH, Return, median, thinned};
 

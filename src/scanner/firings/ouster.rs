@@ -10,7 +10,7 @@ use super::off_axis::{beam_line, line};
 use super::order::{lines, order};
 use super::projection::nearest;
 use super::{ANGLE_UNIT, Bearing, Build, Firings, Laser, Origin, Recipe, Timing};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 
 /// Widths of Ouster's images, which equal the ticks per turn.
 const WIDTHS: [u32; 4] = [512, 1024, 2048, 4096];

@@ -18,8 +18,8 @@ use super::formula::small_atan;
 use super::sharpen::sharpen;
 use super::{BeamConstants, Hdl64, Refinement};
 use crate::ground::angle::rough_sine;
+use crate::ground::floats::round_ties_even;
 use crate::ground::lanes::{dispatch, lanes};
-use crate::ground::rounding::round_ties_even;
 use crate::scan::ScanFile;
 use crate::scanner::{CoordinateGrid, thinned};
 

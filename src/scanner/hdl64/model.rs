@@ -21,9 +21,9 @@ use std::sync::Arc;
 use super::formula::{Formula, Tick, small_atan};
 use super::single_precision::{Refinement, SingleBeam};
 use crate::ground::error::{Error, Result};
+use crate::ground::floats::round_ties_even;
 use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
-use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::{read_signed, read_unsigned, read_within, write_signed, write_unsigned};
 use crate::scanner::{CoordinateGrid, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS};
 

@@ -7,9 +7,9 @@ use pulp::NullaryFnOnce;
 
 use super::Hdl64;
 use super::model::ON_CONE;
+use crate::ground::floats::round_ties_even;
 use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
-use crate::ground::rounding::round_ties_even;
 use crate::scan::{PointCloud, squared_distance};
 use crate::scanner::{EXACT_RANGE_BITS, FLOAT_RANGES, Projection, RangeImage};
 

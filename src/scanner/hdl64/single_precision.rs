@@ -10,7 +10,7 @@ use std::ops::{Add, Sub};
 use super::formula::small_atan;
 use super::sine::sine_and_cosine;
 use crate::ground::error::{Error, Result};
-use crate::ground::float_order::{of_rank, rank};
+use crate::ground::floats::{of_rank, rank};
 use crate::ground::lanes::lanes;
 use crate::ground::varint::{read_signed, write_signed};
 

@@ -5,8 +5,8 @@ use std::f64::consts::TAU;
 
 use crate::ground::angle;
 use crate::ground::error::{Error, Result};
+use crate::ground::floats::round_ties_even;
 use crate::ground::lanes::lanes;
-use crate::ground::rounding::round_ties_even;
 use crate::ground::varint::read_f64;
 
 /// The motion of the scanner in one turn.

@@ -15,9 +15,8 @@ use rayon::prelude::*;
 use super::numbers::{COARSE, FEW, Pair, last_bits, least_squares, missed, unit_at};
 use super::pose::{self, Pose};
 use super::{Mounting, TransformOrder};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::scan::{PointCloud, ScanFile, fullest};
-use crate::scanner::channel_of_lasers;
 use crate::scanner::firings::arithmetic::whole_steps;
 use crate::scanner::firings::blur::Blur;
 use crate::scanner::firings::constants::{Moved, MovedBy, Point, TRIED, by_rows};
@@ -29,7 +28,7 @@ use crate::scanner::firings::order::{FiringOrder, lines, order, vlp_16};
 use crate::scanner::firings::projection::{Sight, nearest};
 use crate::scanner::firings::recipe::Axes;
 use crate::scanner::firings::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, THOUSANDTH, Timing};
-use crate::scanner::{CoordinateGrid, Return, median, thinned};
+use crate::scanner::{CoordinateGrid, Return, channel_of_lasers, median, thinned};
 
 /// Number of points that are used for counting and comparing.
 const SAMPLE: usize = 8000;

@@ -5,7 +5,7 @@ use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
 use super::{Mounting, TransformOrder};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::scanner::thinned;
 
 /// A position in the frame of the scanner, not rounded, and in the file.

@@ -9,9 +9,9 @@ use pulp::NullaryFnOnce;
 
 use super::SLOTS;
 use super::sweep::{Matrix, Vector};
+use crate::ground::floats::round_ties_even;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::random::Rng;
-use crate::ground::rounding::round_ties_even;
 
 /// The axes as rows, and the steps of the lattices along the first two, in metres.
 pub struct Axes {

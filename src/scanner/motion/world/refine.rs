@@ -10,7 +10,7 @@ use super::path::{Information, KnotSearch, Path, PathFirings, Six};
 use super::sweep::{Matrix, Vector};
 use super::undo::{Errors, MEAN_FIRING_US, Search, rotated, turn_of};
 use super::{Knot, PACKETS, POSITION_UNIT, Pose, ROTATION_UNIT, SLOTS, TIME_UNIT, Times, World};
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 use crate::scanner::CoordinateGrid;
 
 /// Deviations of more than this many standard errors are ignored.

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::SLOTS;
 use crate::ground::angle::shorter_way;
-use crate::ground::rounding::round_ties_even;
+use crate::ground::floats::round_ties_even;
 
 pub type Vector = Vector3<f64>;
 pub type Matrix = Matrix3<f64>;
