@@ -15,7 +15,7 @@ use super::console::Console;
 use super::errors::about;
 use super::input::{Input, check_stdin_once, name_of, refuse_recordings};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
-use super::table;
+use super::readable;
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -49,8 +49,8 @@ pub fn run(args: &CatArgs, console: Console) -> Result<()> {
 }
 
 fn summary(joined: &Joined) -> String {
-    let streams = table::count(joined.streams, "stream");
-    let (frames, size) = (table::count(joined.frames, "frame"), table::bytes(joined.stream_bytes));
+    let streams = readable::count(joined.streams, "stream");
+    let (frames, size) = (readable::count(joined.frames, "frame"), readable::bytes(joined.stream_bytes));
     format!("{streams}: {frames}, {size}")
 }
 

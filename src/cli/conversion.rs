@@ -12,7 +12,7 @@ use crate::stream::DecodedFrame;
 
 use super::args::FormatArg;
 use super::console::Console;
-use super::table;
+use super::readable;
 
 /// A file to write.
 pub enum File {
@@ -67,7 +67,7 @@ impl Converter {
         let without_points = locked(&self.without_points);
         if let (count, Some((_, first))) = &*without_points {
             let first = one_line(first);
-            let files = table::count(*count, "file");
+            let files = readable::count(*count, "file");
             console.say(format_args!(
                 "lidarpc: {files} without points, such as {first}: not converted, but written as stored"
             ));

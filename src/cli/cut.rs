@@ -14,7 +14,7 @@ use super::console::Console;
 use super::errors::about;
 use super::input::{Input, chosen_frames, name_of, open, refuse_recordings, report_files_left_out};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
-use super::table;
+use super::readable;
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -70,7 +70,7 @@ fn cut_stream(
 }
 
 fn summary(cut: &Cut) -> String {
-    let frames = table::count(cut.copied + cut.recoded, "frame");
-    let (copied, recoded, size) = (cut.copied, cut.recoded, table::bytes(cut.stream_bytes));
+    let frames = readable::count(cut.copied + cut.recoded, "frame");
+    let (copied, recoded, size) = (cut.copied, cut.recoded, readable::bytes(cut.stream_bytes));
     format!("{frames}: {copied} copied, {recoded} coded again; {size}")
 }

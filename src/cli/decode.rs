@@ -18,7 +18,7 @@ use super::errors::{about, say};
 use super::input::{Input, chosen_frames, is_dash, is_pipe, name_of, open, report_files_left_out};
 use super::losses::{LossReport, Losses};
 use super::output::{FolderOutput, FrameNames};
-use super::table;
+use super::readable;
 
 /// The machine-readable report.
 #[derive(Default, Serialize)]
@@ -38,8 +38,8 @@ impl Report {
     fn summary(&self) -> String {
         let Report { folder, file_bytes, seconds, .. } = self;
         let folder = one_line(folder);
-        let frames = table::frames_and_files(self.frames, self.files_beside);
-        format!("{folder}: {frames}: {} in {seconds:.1} s", table::bytes(*file_bytes))
+        let frames = readable::frames_and_files(self.frames, self.files_beside);
+        format!("{folder}: {frames}: {} in {seconds:.1} s", readable::bytes(*file_bytes))
     }
 }
 

@@ -17,9 +17,9 @@ use super::errors::about;
 use super::frames;
 use super::input::is_dash;
 use super::output::{name_of_output, print_json};
+use super::readable;
 use super::report::{StreamReport, summary};
 use super::signals::LiveStdin;
-use super::table;
 
 pub fn run(args: &EncodeArgs, mut config: EncoderConfig, console: Console) -> Result<()> {
     let start = Instant::now();
@@ -73,7 +73,7 @@ fn encode_stdin(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> 
     }
     finish_output(args, output, &encoded, console)?;
     if let Some(error) = fault {
-        let kept = table::count(encoded.frames.len() as u64, "frame");
+        let kept = readable::count(encoded.frames.len() as u64, "frame");
         return Err(about(error, "stdin").context(format!("{name}: ends early, after {kept}")));
     }
     Ok(Done { encoded, left_out, was_complete: false })
@@ -92,8 +92,8 @@ fn report(
     if args.verbose {
         for (frame, stages) in encoded.frames.iter().zip(&encoded.frame_stages) {
             let (name, original, coded) = (frame.name.escape_debug(), stages.original, stages.coded());
-            let share = table::percent(metrics::ratio(original, coded));
-            eprintln!("{name}: {} -> {} ({share})", table::bytes(original), table::bytes(coded));
+            let share = readable::percent(metrics::ratio(original, coded));
+            eprintln!("{name}: {} -> {} ({share})", readable::bytes(original), readable::bytes(coded));
         }
     }
     if args.json {
@@ -102,7 +102,7 @@ fn report(
         print_json(&report)?;
     } else if *was_complete {
         let name = name_of_output(args.output());
-        let frames = table::count(encoded.frames.len() as u64, "frame");
+        let frames = readable::count(encoded.frames.len() as u64, "frame");
         let verified = if args.verify { ", verified" } else { "" };
         console
             .say(format_args!("{name}: already complete, from these {frames} with these settings{verified}"));

@@ -15,7 +15,7 @@ use super::console::Console;
 use super::errors::about;
 use super::input::is_recording;
 use super::output::print_json;
-use super::{frames, table};
+use super::{frames, readable};
 
 /// Number of groups that are encoded, spread over the sequence.
 const GROUPS: usize = 3;
@@ -68,12 +68,12 @@ pub fn run(args: &EstimateArgs, console: Console) -> Result<()> {
     Ok(writeln!(
         io::stdout(),
         "{}: {} -> about {} ({}), in about {:.0} s on {}; by {} of them",
-        table::count(estimate.frames as u64, "frame"),
-        table::bytes(estimate.file_bytes),
-        table::bytes(estimate.stream_bytes),
-        table::percent(estimate.ratio),
+        readable::count(estimate.frames as u64, "frame"),
+        readable::bytes(estimate.file_bytes),
+        readable::bytes(estimate.stream_bytes),
+        readable::percent(estimate.ratio),
         estimate.seconds.ceil(),
-        table::count(estimate.threads as u64, "thread"),
+        readable::count(estimate.threads as u64, "thread"),
         estimate.sample,
     )?)
 }

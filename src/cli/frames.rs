@@ -22,7 +22,7 @@ use super::errors::about;
 use super::input::is_stream;
 use super::output::keep_inputs;
 use super::record_length::{self, Sample, Verdict};
-use super::{partial, table};
+use super::{partial, readable};
 
 /// The files to encode.
 #[derive(Default)]
@@ -291,7 +291,7 @@ fn loss_of_paper_mode(frame: &FrameInput, config: &EncoderConfig) -> Option<Stri
         format!(
             "paper mode does not suit this scanner: of the first frame it drops {} of the points and moves others by up \
              to {farthest:.2} m; --max-error keeps every point",
-            table::percent(Some(dropped)),
+            readable::percent(Some(dropped)),
         )
     })
 }

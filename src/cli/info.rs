@@ -15,7 +15,7 @@ use super::console::Console;
 use super::errors::about;
 use super::input::{for_each_file, is_recording, name_of, open};
 use super::output::print_json;
-use super::{recording, table};
+use super::{readable, recording};
 
 /// The contents of a stream.
 #[derive(Default, Serialize)]
@@ -200,7 +200,7 @@ impl Info {
 }
 
 fn print(info: &Info, out: &mut impl Write) -> io::Result<()> {
-    let scanners = table::count(info.scanners.len() as u64, "scanner");
+    let scanners = readable::count(info.scanners.len() as u64, "scanner");
     let groups = info.groups.len() as u64;
     let beside = info.frames.iter().filter(|frame| frame.kind == FrameKind::Beside.name()).count() as u64;
     let frames = info.frames.len() as u64 - beside;
@@ -213,20 +213,20 @@ fn print(info: &Info, out: &mut impl Write) -> io::Result<()> {
     }
     let beside = match beside {
         0 => String::new(),
-        files => format!(" and {} beside the scans", table::count(files, "file")),
+        files => format!(" and {} beside the scans", readable::count(files, "file")),
     };
-    writeln!(out, "{}{beside} in {}", table::count(frames, "frame"), table::count(groups, "group"))?;
-    let (points, files) = (info.points, table::bytes(info.file_bytes));
+    writeln!(out, "{}{beside} in {}", readable::count(frames, "frame"), readable::count(groups, "group"))?;
+    let (points, files) = (info.points, readable::bytes(info.file_bytes));
     writeln!(
         out,
         "{} in {files}, coded in {}",
-        table::count(points, "point"),
-        table::bytes(info.stream_bytes)
+        readable::count(points, "point"),
+        readable::bytes(info.stream_bytes)
     )?;
     let mut codings = BTreeMap::<_, u64>::new();
     info.frames.iter().for_each(|frame| *codings.entry(&frame.coding).or_default() += 1);
     for (coding, frames) in codings {
-        writeln!(out, "{}: {coding}", table::count(frames, "frame"))?;
+        writeln!(out, "{}: {coding}", readable::count(frames, "frame"))?;
     }
     writeln!(out)?;
     writeln!(

@@ -15,7 +15,7 @@ use crate::stream::{self, DecodeOptions, DecodedFrame, FrameRange};
 use super::args::wrong_usage;
 use super::console::Console;
 use super::errors::{about, is_closed_pipe, say};
-use super::table;
+use super::readable;
 use super::time_range::TimeRange;
 
 /// A stream to read.
@@ -96,7 +96,7 @@ impl Input {
 /// Says that files beside the scans are left out because only some frames are wanted.
 pub fn report_files_left_out(path: &Path, files: u64, console: Console) {
     if files > 0 {
-        let (name, files) = (name_of(path), table::count(files, "file"));
+        let (name, files) = (name_of(path), readable::count(files, "file"));
         console.say(format_args!(
             "lidarpc: {name}: left out {files} beside the scans, which only a whole stream gives"
         ));
@@ -230,7 +230,7 @@ pub fn chosen_frames(
     let found = reader.and_then(|reader| time.frames(reader.index()));
     let (range, untimed) = found.map_err(|error| about(error, &name_of(path)))?;
     if untimed > 0 {
-        let (name, frames) = (name_of(path), table::count(untimed, "frame"));
+        let (name, frames) = (name_of(path), readable::count(untimed, "frame"));
         console.say(format_args!(
             "lidarpc: {name}: left out {frames} without a time; --frames chooses by number"
         ));

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::errors::NotWhole;
 use super::input::name_of;
-use super::table;
+use super::readable;
 
 /// Largest number of names that are listed for one loss.
 const MOST_NAMES: usize = 10;
@@ -106,10 +106,10 @@ impl Losses {
         }
         let lost = match (self.frames, self.maybe_more) {
             (0, true) => "an unknown number".to_owned(),
-            (frames, true) => format!("{} and perhaps more", table::count(frames, "frame")),
-            (frames, false) => table::count(frames, "frame"),
+            (frames, true) => format!("{} and perhaps more", readable::count(frames, "frame")),
+            (frames, false) => readable::count(frames, "frame"),
         };
-        let recovered = table::count(recovered, "frame");
+        let recovered = readable::count(recovered, "frame");
         Err(NotWhole(format!("{}: damaged; {recovered} saved, {lost} lost", self.input)).into())
     }
 }

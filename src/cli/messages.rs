@@ -21,8 +21,8 @@ use super::errors::about;
 use super::frames;
 use super::input::{is_dash, name_of, open};
 use super::output::{FileOutput, FolderOutput, name_of_output, print_json};
+use super::readable;
 use super::report::{FidelityReport, fidelity};
-use super::table;
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -152,10 +152,10 @@ impl Sizes {
         }
         console.say(format_args!(
             "{}: files of {}, streams of {} ({}){} in {seconds:.1} s",
-            table::count(messages, "message"),
-            table::bytes(file_bytes),
-            table::bytes(stream_bytes),
-            table::percent(metrics::ratio(file_bytes, stream_bytes)),
+            readable::count(messages, "message"),
+            readable::bytes(file_bytes),
+            readable::bytes(stream_bytes),
+            readable::percent(metrics::ratio(file_bytes, stream_bytes)),
             match config {
                 Some(config) => format!(", {}", fidelity(config, None)),
                 None => String::new(),

@@ -24,8 +24,8 @@ use super::conversion::name_of_points;
 use super::errors::{NotWhole, about};
 use super::input::{is_dash, is_named_as_recording};
 use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
+use super::readable;
 use super::report::{FidelityReport, fidelity};
-use super::table;
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -92,12 +92,12 @@ impl Report {
         let (before, after) = (self.cloud_bytes_before, self.cloud_bytes_after);
         let sizes = match before {
             0 if after == 0 => "no bytes".to_owned(),
-            _ if before == 0 || after >= before => table::bytes(after),
+            _ if before == 0 || after >= before => readable::bytes(after),
             _ => self.savings(),
         };
         let kept = match self.kept {
             0 => String::new(),
-            kept => format!(", {} of a topic of clouds copied as they are", table::count(kept, "message")),
+            kept => format!(", {} of a topic of clouds copied as they are", readable::count(kept, "message")),
         };
         let fidelity = match config {
             Some(config) if self.clouds > 0 => format!(", {}", fidelity(config, None)),
@@ -105,8 +105,8 @@ impl Report {
         };
         format!(
             "{}, {}: {sizes}{kept}{fidelity}{}{} in {:.1} s",
-            table::count(self.messages, "message"),
-            table::count(self.clouds, "cloud"),
+            readable::count(self.messages, "message"),
+            readable::count(self.clouds, "cloud"),
             self.left_out(),
             if self.verified { ", verified" } else { "" },
             self.seconds,
@@ -118,7 +118,7 @@ impl Report {
     fn summary_of_clouds(&self, fidelity: &str) -> String {
         format!(
             "{}: {}, the clouds alone, {fidelity}{} in {:.1} s",
-            table::count(self.clouds, "cloud"),
+            readable::count(self.clouds, "cloud"),
             self.savings(),
             self.left_out(),
             self.seconds,
@@ -128,15 +128,15 @@ impl Report {
     /// The sizes of the clouds before and after.
     fn savings(&self) -> String {
         let (before, after) = (self.cloud_bytes_before, self.cloud_bytes_after);
-        let share = table::percent(metrics::ratio(before, after));
-        format!("{} -> {} ({share})", table::bytes(before), table::bytes(after))
+        let share = readable::percent(metrics::ratio(before, after));
+        format!("{} -> {} ({share})", readable::bytes(before), readable::bytes(after))
     }
 
     /// The messages that were left out.
     fn left_out(&self) -> String {
         match self.left_out {
             0 => String::new(),
-            messages => format!(", {} of a topic of clouds left out", table::count(messages, "message")),
+            messages => format!(", {} of a topic of clouds left out", readable::count(messages, "message")),
         }
     }
 }
@@ -242,7 +242,7 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, consol
             left_out == 0,
             "{}: holds what would not come back: {}; give -o FILE.mcap, or encode without --strict",
             input.display(),
-            table::count(left_out, "message")
+            readable::count(left_out, "message")
         );
     }
     let because = damage.map_or(String::new(), |damage| format!(" ({damage})"));
@@ -392,13 +392,13 @@ impl Listing {
 
 /// Prints the list of topics.
 pub fn print(listing: &Listing, out: &mut impl Write) -> std::io::Result<()> {
-    let channels = table::count(listing.topics.len() as u64, "channel");
+    let channels = readable::count(listing.topics.len() as u64, "channel");
     writeln!(
         out,
         "recording (MCAP) of {}: {} in {channels}, {} of attachments and metadata",
-        table::bytes(listing.file_bytes),
-        table::count(listing.messages(), "message"),
-        table::count(listing.attachments, "record"),
+        readable::bytes(listing.file_bytes),
+        readable::count(listing.messages(), "message"),
+        readable::count(listing.attachments, "record"),
     )?;
     if let Some(what) = &listing.damage {
         writeln!(out, "cut short or damaged ({what}); of what can be read:")?;
@@ -425,8 +425,8 @@ pub fn stats(args: &StatsArgs, console: Console) -> Result<()> {
     writeln!(out, "{:>14} {:>12} {:>9} {:>12}  topic", "original", "coded", "share", "bits a point")?;
     for topic in listing.topics.iter().filter(|topic| topic.compressed > 0) {
         let (before, points) = (topic.cloud_bytes.unwrap_or_default(), topic.points.unwrap_or_default());
-        let share = table::percent(metrics::ratio(before, topic.bytes));
-        let bits = table::decimals(metrics::bits_per_point(topic.bytes, points));
+        let share = readable::percent(metrics::ratio(before, topic.bytes));
+        let bits = readable::decimals(metrics::bits_per_point(topic.bytes, points));
         writeln!(
             out,
             "{before:>14} {:>12} {share:>9} {bits:>12}  {}",
@@ -434,7 +434,7 @@ pub fn stats(args: &StatsArgs, console: Console) -> Result<()> {
             topic.topic.escape_debug()
         )?;
         for (fidelity, clouds) in topic.fidelity.iter().flatten() {
-            writeln!(out, "{:>14} {fidelity}", format!("{}:", table::count(*clouds, "cloud")))?;
+            writeln!(out, "{:>14} {fidelity}", format!("{}:", readable::count(*clouds, "cloud")))?;
         }
     }
     drop(out);

@@ -14,7 +14,7 @@ use super::errors::about;
 use super::input::{name_of, open, refuse_recordings};
 use super::losses::{LossReport, Losses};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
-use super::table;
+use super::readable;
 
 /// The machine-readable report.
 #[derive(Serialize)]
@@ -44,7 +44,7 @@ pub fn run(args: &RepairArgs, console: Console) -> Result<()> {
         let lost = losses.report().into_iter().collect();
         print_json(&Report { file: name, frames, lost })?;
     } else {
-        console.say(format_args!("{} copied", table::count(frames, "frame")));
+        console.say(format_args!("{} copied", readable::count(frames, "frame")));
     }
     losses.check(frames)
 }

@@ -10,7 +10,7 @@ use crate::study::metrics;
 use serde::Serialize;
 
 use super::args::EncodeArgs;
-use super::table;
+use super::readable;
 
 /// How accurately points are restored, in words. If `encoded` is given, also how many points paper mode
 /// dropped, or how many scans bounded mode restores exactly.
@@ -20,8 +20,8 @@ pub fn fidelity(config: &EncoderConfig, encoded: Option<&EncodeStatistics>) -> S
         (PositionFidelity::Formula, None) => "paper mode".to_owned(),
         (PositionFidelity::Formula, Some(encoded)) => {
             let dropped = encoded.outliers + encoded.lost;
-            let share = table::percent(metrics::ratio(encoded.points, dropped));
-            format!("paper mode: {} points dropped ({share})", table::grouped(dropped))
+            let share = readable::percent(metrics::ratio(encoded.points, dropped));
+            format!("paper mode: {} points dropped ({share})", readable::grouped(dropped))
         }
         (bounded @ PositionFidelity::Bounded { .. }, encoded) => {
             format!("{bounded}{}", encoded.map_or(String::new(), exact_scans))
@@ -67,18 +67,18 @@ pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &EncodeStatis
         0 => String::new(),
         files => format!(
             ", of them {} in {} beside the scans, which alone take {}",
-            table::bytes(encoded.beside_bytes),
-            table::count(files, "file"),
-            table::percent(metrics::ratio(original - encoded.beside_bytes, of_scans))
+            readable::bytes(encoded.beside_bytes),
+            readable::count(files, "file"),
+            readable::percent(metrics::ratio(original - encoded.beside_bytes, of_scans))
         ),
     };
     let mut line = format!(
         "{}{resumed}: {} -> {} ({}{beside}, {} bits a point), {}",
-        table::count(scans(encoded), "frame"),
-        table::bytes(original),
-        table::bytes(coded),
-        table::percent(metrics::ratio(original, coded)),
-        table::decimals(metrics::bits_per_point(of_scans, encoded.points)),
+        readable::count(scans(encoded), "frame"),
+        readable::bytes(original),
+        readable::bytes(coded),
+        readable::percent(metrics::ratio(original, coded)),
+        readable::decimals(metrics::bits_per_point(of_scans, encoded.points)),
         fidelity(config, Some(encoded)),
     );
     let mut plain = plain_files(encoded);
@@ -90,7 +90,10 @@ pub fn summary(args: &EncodeArgs, config: &EncoderConfig, encoded: &EncodeStatis
         });
     }
     if encoded.unmodelled > 0 {
-        line.push_str(&format!(", {} without a model that fits", table::count(encoded.unmodelled, "frame")));
+        line.push_str(&format!(
+            ", {} without a model that fits",
+            readable::count(encoded.unmodelled, "frame")
+        ));
     }
     if args.verify {
         line.push_str(what_was_verified(config));

@@ -22,7 +22,7 @@ use super::console::Console;
 use super::errors::about;
 use super::input::{Input, Originals, is_recording, name_of, open};
 use super::output::print_json;
-use super::{recording, table};
+use super::{readable, recording};
 use comparison::{Against, compare};
 use scanners::{KnownScanners, ScannerStats};
 
@@ -174,27 +174,27 @@ fn measure(input: impl Read, limits: Limits) -> crate::ground::error::Result<Sta
 }
 
 fn print(stats: &Stats, out: &mut impl Write) -> io::Result<()> {
-    let (frames, points) = (table::count(stats.frames, "frame"), table::count(stats.points, "point"));
-    writeln!(out, "{frames} in {}, {points}", table::count(stats.groups, "group"))?;
+    let (frames, points) = (readable::count(stats.frames, "frame"), readable::count(stats.points, "point"));
+    writeln!(out, "{frames} in {}, {points}", readable::count(stats.groups, "group"))?;
     if stats.files_beside > 0 {
         writeln!(
             out,
             "and {} beside them, whose bytes are counted too",
-            table::count(stats.files_beside, "file")
+            readable::count(stats.files_beside, "file")
         )?;
     }
     writeln!(out, "original     {:>14} bytes", stats.file_bytes)?;
     writeln!(out, "coded        {:>14} bytes", stats.stream_bytes)?;
-    writeln!(out, "ratio        {:>14}", table::percent(stats.ratio))?;
-    writeln!(out, "bits a point {:>14}", table::decimals(stats.bits_per_point))?;
+    writeln!(out, "ratio        {:>14}", readable::percent(stats.ratio))?;
+    writeln!(out, "bits a point {:>14}", readable::decimals(stats.bits_per_point))?;
     for (name, count) in [("outliers", stats.outliers_dropped), ("no cell", stats.points_lost)] {
         if count > 0 {
-            let share = table::percent(metrics::ratio(stats.points, count));
+            let share = readable::percent(metrics::ratio(stats.points, count));
             writeln!(out, "{name:<12} {count:>14} points dropped ({share})")?;
         }
     }
     for (fidelity, frames) in &stats.fidelity {
-        writeln!(out, "{}: {fidelity}", table::count(*frames, "frame"))?;
+        writeln!(out, "{}: {fidelity}", readable::count(*frames, "frame"))?;
     }
     for (number, scanner) in (1..).zip(&stats.scanners) {
         scanner.print(number, out)?;
@@ -205,10 +205,10 @@ fn print(stats: &Stats, out: &mut impl Write) -> io::Result<()> {
     writeln!(out)?;
     writeln!(out, "{:<12} {:>14} {:>9} {:>12}", "section", "bytes", "share", "bits a point")?;
     for part in stats.sections.iter().filter(|part| part.bytes > 0) {
-        let share = table::percent(metrics::ratio(stats.stream_bytes, part.bytes));
-        let bits = table::decimals(part.bits_per_point);
+        let share = readable::percent(metrics::ratio(stats.stream_bytes, part.bytes));
+        let bits = readable::decimals(part.bits_per_point);
         writeln!(out, "{:<12} {:>14} {share:>9} {bits:>12}", part.name, part.bytes)?;
     }
-    let bits = table::decimals(stats.bits_per_point);
+    let bits = readable::decimals(stats.bits_per_point);
     writeln!(out, "{:<12} {:>14} {:>9} {bits:>12}", "total", stats.stream_bytes, "100.00 %")
 }

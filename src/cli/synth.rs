@@ -6,7 +6,7 @@ use anyhow::Result;
 use super::args::{SimulatedScanner, SynthArgs};
 use super::console::Console;
 use super::output::FolderOutput;
-use super::table;
+use super::readable;
 
 pub fn run(args: &SynthArgs, console: Console) -> Result<()> {
     let folder = FolderOutput::create(&args.output, args.force)?;
@@ -24,7 +24,7 @@ pub fn run(args: &SynthArgs, console: Console) -> Result<()> {
     }
     bar.finish_and_clear();
     folder.finish()?;
-    let frames = table::count(args.frames as u64, "frame");
-    console.say(format_args!("{frames}, {}", table::count(points, "point")));
+    let frames = readable::count(args.frames as u64, "frame");
+    console.say(format_args!("{frames}, {}", readable::count(points, "point")));
     Ok(())
 }

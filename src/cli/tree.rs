@@ -25,8 +25,8 @@ use super::errors::{NotWhole, say};
 use super::frames::{self, InputFiles};
 use super::input::{is_dash, is_pipe};
 use super::output::{create_folders, parent, print_json};
+use super::readable;
 use super::report::{LeftOutReport, StreamReport, summary};
-use super::table;
 
 /// Whether an output is a folder: it is one, or its name ends in a slash.
 pub fn is_folder(output: &Path) -> bool {
@@ -55,7 +55,8 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> Re
     let jobs = args.jobs.map_or(if drives.len() >= threads { threads } else { 1 }, usize::from);
     let each = EncoderConfig { threads: (threads / jobs).max(1), ..config.clone() };
     let frames = drives.iter().map(|drive| drive.found.frames.len() as u64).sum();
-    let bar = console.bar(Some(frames), format!("encoding {}", table::count(drives.len() as u64, "drive")));
+    let bar =
+        console.bar(Some(frames), format!("encoding {}", readable::count(drives.len() as u64, "drive")));
     let reports = encode_each(args, &each, &drives, jobs, &bar, console);
     bar.finish_and_clear();
     let failed = reports.iter().filter(|report| report.is_err()).count();
@@ -69,7 +70,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> Re
     } else if !console.is_quiet {
         print(&done, complete.len(), args.verbose, start);
     }
-    ensure!(failed == 0, "{failed} of {} failed", table::count(drives.len() as u64, "drive"));
+    ensure!(failed == 0, "{failed} of {} failed", readable::count(drives.len() as u64, "drive"));
     Ok(())
 }
 
@@ -107,7 +108,7 @@ fn print(done: &[DriveReport], complete: usize, is_verbose: bool, start: Instant
     /// The largest number of drives whose lines are printed unasked.
     const FEW: usize = 20;
     if done.is_empty() && complete > 0 {
-        let drives = table::count(complete as u64, "drive");
+        let drives = readable::count(complete as u64, "drive");
         eprintln!("{drives}: already complete, from these files with these settings");
         return;
     }
@@ -119,15 +120,15 @@ fn print(done: &[DriveReport], complete: usize, is_verbose: bool, start: Instant
     let (before, after) = (of_all(|report| report.file_bytes), of_all(|report| report.stream_bytes));
     let complete = match complete {
         0 => String::new(),
-        drives => format!(", {} there already", table::count(drives as u64, "drive")),
+        drives => format!(", {} there already", readable::count(drives as u64, "drive")),
     };
     eprintln!(
         "{}, {}: {} -> {} ({}){complete} in {:.1} s",
-        table::count(done.len() as u64, "drive"),
-        table::count(of_all(|report| report.frames), "frame"),
-        table::bytes(before),
-        table::bytes(after),
-        table::percent(metrics::ratio(before, after)),
+        readable::count(done.len() as u64, "drive"),
+        readable::count(of_all(|report| report.frames), "frame"),
+        readable::bytes(before),
+        readable::bytes(after),
+        readable::percent(metrics::ratio(before, after)),
         start.elapsed().as_secs_f64(),
     );
 }
@@ -258,7 +259,7 @@ pub fn decode(args: &DecodeArgs, mut decode_stream: impl FnMut(&DecodeArgs) -> R
             }
         }
     }
-    let files = table::count(streams.len() as u64, "file");
+    let files = readable::count(streams.len() as u64, "file");
     ensure!(failed == 0, "{failed} of {files} failed");
     match not_whole {
         0 => Ok(()),

@@ -19,7 +19,7 @@ use super::errors::{about, line};
 use super::input::{Input, Originals, for_each_file, is_recording, name_of, open};
 use super::losses::{LossReport, Losses};
 use super::output::{FrameNames, print_json};
-use super::{recording, table};
+use super::{readable, recording};
 
 /// The machine-readable report.
 #[derive(Default, Serialize)]
@@ -50,12 +50,12 @@ impl Report {
     fn summary(&self) -> String {
         let frames = match self.messages {
             Some(messages) => {
-                let clouds = table::count(self.frames, "compressed cloud");
-                format!("{}, of which {clouds}", table::count(messages, "message"))
+                let clouds = readable::count(self.frames, "compressed cloud");
+                format!("{}, of which {clouds}", readable::count(messages, "message"))
             }
-            None => table::frames_and_files(self.frames, self.files_beside),
+            None => readable::frames_and_files(self.frames, self.files_beside),
         };
-        let bytes = table::bytes(self.file_bytes);
+        let bytes = readable::bytes(self.file_bytes);
         let same = if self.compared { ", all as the originals" } else { "" };
         let deep = if self.deep { ", decoded without vector units" } else { "" };
         format!("{}: whole; {frames}, {bytes}{same}{deep}", self.file)

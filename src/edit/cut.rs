@@ -2,7 +2,7 @@
 //! unchanged; frames after a cut inside their group are recoded as a new group, since they depend on those
 //! before them.
 //!
-//! Recoding starts from the decoded [`FrameParts`], that is, from the integers of a frame's sections rather
+//! Recoding starts from the decoded `FrameParts`, that is, from the integers of a frame's sections rather
 //! than from points, so that lossy frames lose nothing further. The output of an image coder is copied
 //! unchanged.
 

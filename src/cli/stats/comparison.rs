@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::cli::args::StatsArgs;
 use crate::cli::console::Console;
 use crate::cli::input::Originals;
-use crate::cli::table;
+use crate::cli::readable;
 
 /// The comparison with the originals.
 #[derive(Default, Serialize)]
@@ -159,7 +159,7 @@ impl Against {
         if self.max_intensity_error > 0.0 {
             writeln!(out, "intensities  {:>14.6} at most", self.max_intensity_error)?;
         }
-        writeln!(out, "identical    {:>14} of {}", self.identical_files, table::count(files, "file"))?;
+        writeln!(out, "identical    {:>14} of {}", self.identical_files, readable::count(files, "file"))?;
         if let Some(psnr) = &self.psnr {
             for (name, decibels) in [("D1 PSNR", psnr.d1_db), ("D2 PSNR", psnr.d2_db)] {
                 let text = match decibels {

@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use crate::cli::table;
+use crate::cli::readable;
 use crate::container::{CodedFrame, Group, ScannerId, ScannerRecord};
 use crate::frame::decoder::{Explained, GroupDecoder};
 use crate::frame::{FrameParameters, PositionFidelity, StageReport};
@@ -98,7 +98,8 @@ impl ScannerStats {
     pub fn print(&self, number: usize, out: &mut impl Write) -> io::Result<()> {
         write!(out, "scanner {number}: {}", self.description)?;
         if self.share_exact.is_some() {
-            let (in_image, exact) = (table::percent(self.share_in_image), table::percent(self.share_exact));
+            let (in_image, exact) =
+                (readable::percent(self.share_in_image), readable::percent(self.share_exact));
             write!(
                 out,
                 "; of its first scan {in_image} of the points are in the range image, {exact} by the formula to the last bit"

@@ -15,7 +15,7 @@ use crate::cli::encoding::encode_in_memory;
 use crate::cli::errors::about;
 use crate::cli::input::{is_stream, name_of, open};
 use crate::cli::output::print_json;
-use crate::cli::table;
+use crate::cli::readable;
 
 /// The complete report; all values are means over frames.
 #[derive(Serialize)]
@@ -157,7 +157,7 @@ impl Times {
 impl Steps {
     fn print(&self, out: &mut impl Write) -> io::Result<()> {
         let ranges = self.range_step.as_ref().map_or(String::new(), |step| format!(", ranges in {step}"));
-        writeln!(out, "mean of {}{ranges}\n", table::count(self.frames, "frame"))?;
+        writeln!(out, "mean of {}{ranges}\n", readable::count(self.frames, "frame"))?;
         writeln!(out, "{:<20} {:>12}", "bytes", "a frame")?;
         for (name, bytes) in self.bytes.rows() {
             writeln!(out, "{name:<20} {bytes:>12.0}")?;
