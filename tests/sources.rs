@@ -125,7 +125,7 @@ fn files_of_the_command_line_do_not_use_each_other_in_circles() {
         (file.clone(), used.map(str::to_owned).collect::<BTreeSet<_>>())
     };
     let mut uses: BTreeMap<_, _> = files.iter().map(uses).collect();
-    assert!(uses["dispatch"].contains("encode") && uses["stats"].contains("table"));
+    assert!(uses["dispatch"].contains("encode") && uses["stats"].contains("readable"));
     // A file that uses none of the others is in no circle, so it does not matter which files use it.
     while let Some(file) = uses.keys().find(|file| uses[*file].is_empty()).cloned() {
         uses.remove(&file);
