@@ -70,7 +70,12 @@ pub fn is_evident(positions: &[[f32; 3]]) -> bool {
     /// Minimum number of far points of a beam, and the share of them that the formula must explain.
     const FEWEST: usize = 50;
     const LEAST: f64 = 0.9;
-    let beams = split_beams(positions);
+    let (middle, half) = (positions.len() / 2, positions.len() / 10);
+    let mut beams = split_beams(&positions[middle - half..middle + half]);
+    // The first and the last beam are incomplete.
+    if beams.len() < BEAMS + 2 {
+        beams = split_beams(positions);
+    }
     let middle = (beams.len() / 2).saturating_sub(BEAMS / 2);
     let Some(beams) = beams.get(middle..middle + BEAMS) else { return false };
     let coordinates = CoordinateGrid::of(positions.iter().step_by(7).flatten());
