@@ -97,8 +97,8 @@ impl Beams {
         /// In radians. Within a beam, even points out of order fall back by far less. Scans may be cut to a
         /// sector that is not much wider.
         const FALL: f64 = 0.2;
-        /// In radians: a rise of at least this much is a step back over the seam. It is smaller where a scan is
-        /// cut to a sector around the seam.
+        /// In radians: a rise of at least this much is a step back over the seam. In a scan that is cut to a
+        /// sector around the seam, the azimuth rises by less from one end of a beam to the other.
         const RISE: f64 = TAU - 0.1;
         for point in points {
             let [x, y, z] = point.position;
