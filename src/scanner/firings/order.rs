@@ -263,28 +263,45 @@ pub(super) fn vlp_16(elevations: &[f64]) -> Option<FiringOrder> {
 }
 
 /// The rows in the order in which they follow one another cyclically, starting anywhere. `None` if most
-/// points are of the same row as the point before.
+/// points are of the same row as the point before, or if no order explains them better than chance.
 fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
-    /// A sufficient number of rounds.
-    const ROUNDS: usize = 500;
-    let mut counts = vec![0u32; rows];
-    sequence.iter().for_each(|(row, _)| counts[*row] += 1);
-    let again = sequence.windows(2).filter(|pair| pair[0].0 == pair[1].0).count();
+    /// If firings have fewer points than this on average, the scan is sparse.
+    const SPARSE: f64 = 10.0;
+    /// Minimum number of points of a firing on average; by chance it would be two.
+    const LEAST: f64 = 2.25;
+    let sequence: Vec<usize> = sequence.iter().map(|(row, _)| *row).collect();
+    let again = sequence.windows(2).filter(|pair| pair[0] == pair[1]).count();
     if again * 2 > sequence.len() {
         return None;
     }
-    // Rounds begin with the row that has the most points.
+    let points_of = |order: &[usize]| {
+        let mut slots = vec![0; rows];
+        order.iter().enumerate().for_each(|(slot, &row)| slots[row] = slot);
+        let firings = sequence.chunk_by(|&row, &next| slots[row] < slots[next]).count();
+        sequence.len() as f64 / firings.max(1) as f64
+    };
+    let order = by_rounds(&sequence, rows)?;
+    let order = if points_of(&order) < SPARSE { of_sparse(&sequence, order) } else { order };
+    (points_of(&order) >= LEAST).then_some(order)
+}
+
+/// The order of the rows by which of two is first in most rounds. A round ends before the row with the most points.
+fn by_rounds(sequence: &[usize], rows: usize) -> Option<Vec<usize>> {
+    /// A sufficient number of rounds.
+    const ROUNDS: usize = 500;
+    let mut counts = vec![0u32; rows];
+    sequence.iter().for_each(|&row| counts[row] += 1);
     let first = (0..rows).rev().max_by_key(|&row| counts[row])?;
-    let rounds = sequence.chunk_by(|_, next| next.0 != first);
-    let is_single = |round: &&[(usize, u32)]| {
+    let rounds = sequence.chunk_by(|_, next| *next != first);
+    let is_single = |round: &&[usize]| {
         let mut seen = vec![false; rows];
-        round.len() > 1 && round.iter().all(|(row, _)| !std::mem::replace(&mut seen[*row], true))
+        round.len() > 1 && round.iter().all(|&row| !std::mem::replace(&mut seen[row], true))
     };
     let rounds: Vec<_> = rounds.filter(is_single).collect();
     let mut before = vec![0u32; rows * rows];
     for round in rounds.iter().step_by((rounds.len() / ROUNDS).max(1)) {
-        for (place, (row, _)) in round.iter().enumerate() {
-            round[place + 1..].iter().for_each(|(later, _)| before[row * rows + later] += 1);
+        for (place, row) in round.iter().enumerate() {
+            round[place + 1..].iter().for_each(|later| before[row * rows + later] += 1);
         }
     }
     let precedes = |a: usize, b: usize| before[a * rows + b] > before[b * rows + a];
@@ -303,6 +320,41 @@ fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
         next = rest.iter().copied().min_by_key(|&row| (earlier[row], rows - later[row])).unwrap_or(next);
     }
     Some(order)
+}
+
+/// The order of the rows of a sparse scan, which has few rounds without a gap: `order`, after each row has moved to
+/// where that leaves the fewest firings, until no move leaves fewer (a local search for the linear ordering problem).
+fn of_sparse(sequence: &[usize], mut order: Vec<usize>) -> Vec<usize> {
+    /// Largest number of times that all rows are moved.
+    const PASSES: usize = 20;
+    let rows = order.len();
+    let mut transitions = vec![0i64; rows * rows];
+    sequence.windows(2).for_each(|pair| transitions[pair[0] * rows + pair[1]] += 1);
+    // By how many firings there are fewer if the first of two rows is before the other.
+    let saved = |row: usize, other: usize| transitions[row * rows + other] - transitions[other * rows + row];
+    for _ in 0..PASSES {
+        let mut has_moved = false;
+        for row in order.clone() {
+            let from = order.iter().position(|&other| other == row).unwrap_or(0);
+            let (mut sum, mut best) = (0, (0, from));
+            for to in (0..from).rev() {
+                sum += saved(row, order[to]);
+                best = if sum > best.0 { (sum, to) } else { best };
+            }
+            sum = 0;
+            for to in from + 1..rows {
+                sum += saved(order[to], row);
+                best = if sum > best.0 { (sum, to) } else { best };
+            }
+            has_moved |= best.0 > 0;
+            order.remove(from);
+            order.insert(best.1, row);
+        }
+        if !has_moved {
+            break;
+        }
+    }
+    order
 }
 
 /// The same scanner with a timing of `firings` firings per block, with parts estimated from the points;

@@ -14,8 +14,10 @@ use crate::scanner::{CoordinateGrid, Echo, Projection, REACH, RangeImage, Return
 
 /// Ranges of an exact image are below this, in steps.
 pub(super) const LONGEST: u32 = 1 << 20;
-/// With more cells per point than this, the points are in no order that is worth an image.
+/// With more cells per point than this, the points are in no order that is worth an image, unless columns have this
+/// many points on average. By chance, they would have two.
 const MOST_CELLS: usize = 16;
+const ENOUGH_POINTS: f64 = 2.5;
 
 /// The place of a point in the range image, by the formula.
 #[derive(Clone, Copy, Debug)]
@@ -212,8 +214,10 @@ impl Firings {
             false => self.columns_of_lines(places, echoes),
         };
         // Decoders do not accept a larger image than their limits allow, either.
-        let most = (MOST_CELLS * cloud.positions.len()).min(Limits::default().points as usize);
-        if columns.len().saturating_mul(self.rows()) > most {
+        let most = Limits::default().points as usize;
+        let (cells, points) = (columns.len().saturating_mul(self.rows()), cloud.positions.len());
+        let is_ordered = columns.len() as f64 * ENOUGH_POINTS <= points as f64;
+        if cells > most || cells > MOST_CELLS * points && !is_ordered {
             let strays = (0..cloud.positions.len() as u32).collect();
             return Projection {
                 image: RangeImage::new(self.rows(), Vec::new()),
