@@ -201,7 +201,9 @@ impl ScanFacts<'_> {
         let share = (image.returns() + image.echoes.len()) as f64 / measured;
         let simple = if scanner.build.timing.firings(scanner.rows()) > 1 { 0.999 } else { 1.0 };
         let accuracy = if self.blur.is_any() { scanner.accuracy(&projection, self.cloud) } else { 1.0 };
-        let worth = simple * share / (1.0 + image.columns.len() as f64 / measured) * accuracy;
+        // A column takes about a quarter of the bits of a stray.
+        let columns = (1.0 + image.columns.len() as f64 / measured).sqrt().sqrt();
+        let worth = simple * share / columns * accuracy;
         Candidate { scanner, share, worth }
     }
 
