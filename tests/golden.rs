@@ -589,8 +589,9 @@ fn firing_files() -> Vec<File> {
 }
 
 /// Scans of a VLP-16 that no scanner explains, as they were moved with a car: with rings, without, each
-/// firing twice with intensities off any grid, in half precision, in steps of 5 mm, and, but for the last
-/// hundred, as differences of a map's coordinates in single precision.
+/// firing twice with intensities off any grid, in half precision, in steps of 5 mm, and but for the last hundred
+/// as differences of a map's coordinates in single precision; and a hundred points, the last one again and
+/// again, with some 600 intensities on no grid.
 fn trail_files() -> Vec<File> {
     let config = SynthConfig { scanner: SynthScanner::Vlp16, thinning: 2, ..small(9, 4) };
     let mut frames = scans(&config);
@@ -607,6 +608,13 @@ fn trail_files() -> Vec<File> {
     let (most, rest) = frames[2].split_at(600);
     let through_map =
         |&[x, y, z, i]: &[f32; 4]| [(x + 1000.3) - 1000.3, (y - 12_345.6) + 12_345.6, (z + 80.1) - 80.1, i];
+    let squashed = (0..10_000u32).map(|n| {
+        let (phase, noise) = (n % 1180, n.wrapping_mul(2_654_435_761) >> 16 & 15);
+        let level = phase.min(1180 - phase) + noise;
+        let [x, y, z, _] = frames[1][(n as usize).min(99)];
+        [x, y, z, (level as f32 / 641.0).sqrt()]
+    });
+    let squashed: Vec<_> = squashed.collect();
     let mapped: Vec<_> = most.iter().map(through_map).chain(rest.iter().copied()).collect();
     [
         ("0.pcd", pcd_velodyne(&frames[0])),
@@ -615,6 +623,7 @@ fn trail_files() -> Vec<File> {
         ("3.bin", kitti(&half)),
         ("4.bin", nclt(&frames[0])),
         ("5.bin", kitti(&mapped)),
+        ("6.bin", kitti(&squashed)),
     ]
     .map(|(name, bytes)| (name.to_owned(), bytes))
     .to_vec()

@@ -213,10 +213,13 @@ fn axis_of_rotation(positions: &[[f32; 3]]) -> Option<usize> {
 
 /// How many turns points make about an axis of the file, one after the other; counterclockwise is positive.
 fn turns(positions: &[[f32; 3]], axis: usize) -> f64 {
+    /// Number of points that show the turns of a scan.
+    const SAMPLE: usize = 32_768;
     let [x, y] = [(axis + 1) % 3, (axis + 2) % 3];
     let is_beside = |position: &&[f32; 3]| position[x] != 0.0 || position[y] != 0.0;
     let azimuth = |position: &[f32; 3]| angle::atan2(f64::from(position[y]), f64::from(position[x])) / TAU;
-    let mut azimuths = positions.iter().filter(is_beside).map(azimuth).filter(|turns| turns.is_finite());
+    let mut azimuths =
+        thinned(positions, SAMPLE).filter(is_beside).map(azimuth).filter(|turns| turns.is_finite());
     let Some(mut last) = azimuths.next() else { return 0.0 };
     let step = |next: f64| {
         let step = next - std::mem::replace(&mut last, next);

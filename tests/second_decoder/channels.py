@@ -6,19 +6,31 @@ from math import isfinite, isnan, sqrt
 from back_ends import unpacked
 from entropy import M64, AdaptiveBit, IntegerModel, unzigzag, wrap
 from errors import Refused
-from layout import F32, SIZES
+from layout import F32, SIZES, U16
 from models import LeastSquares, MixedBits, f32, floats, ilog2, to_int
 from scanner import bits_of_float, float_of_bits
 from sections import ByteModel, Intensity, Near
 from values import Scale, at_rank, converted, geometry, geometry_of_place, rank
 
-CONSTANT, COLUMNS, BYTES, PACKED = range(4)
+CONSTANT, COLUMNS, BYTES, PACKED, PALETTE = range(5)
 SAME, INTEGERS, LEVELS, IMAGE = 1, 2, 3, 4
 MOST_LEVELS = 512
+MOST_ENTRIES = 0xFFFF
 BEAM, COLUMN, AFTER, TICK = 1, 2, 3, 4
 CANDIDATES, TRIES = 13, 4
 TABLE = 1 << 14
 MASK = TABLE - 1
+
+
+def palette(bits, most):
+    count = bits.plain(16)
+    if not 1 <= count <= most:
+        raise Refused("a palette of too many integers, or of none")
+    entries = [wrap(bits.plain(64), 64)]
+    step = IntegerModel()
+    for _ in range(1, count):
+        entries.append(wrap(entries[-1] + step.code(bits), 64))
+    return entries
 
 
 class Beside:
@@ -67,9 +79,15 @@ class Channels:
             return self.bytes.code(bits, records * field.width, field.width)
         if shape == PACKED:
             return decompressed(bits, field.kind, field.width, records)
+        size = field.size
+        if shape == PALETTE and len(models) == 1:
+            entries = palette(bits, MOST_ENTRIES)
+            numbers = models[0].code(bits, U16, records, sources)
+            scale = Scale(0, field.kind)
+            values = [scale.value(entries[min(number, len(entries) - 1)]) for number in numbers]
+            return b"".join(value.to_bytes(size, "little") for value in values)
         if shape != COLUMNS or not models:
             raise Refused("a channel of unknown shape, or of too many columns")
-        size = field.size
         out = bytearray(records * field.width)
         for k, model in enumerate(models):
             values = b"".join(v.to_bytes(size, "little") for v in model.code(bits, field.kind, records, sources))
@@ -170,25 +188,19 @@ class Column:
 
     def code_levels(self, bits, scale, kind, records, beside):
         has_exceptions = bits.plain(1)
-        count = bits.plain(16)
-        if not 1 <= count <= MOST_LEVELS:
-            raise Refused("too many levels")
-        palette = [wrap(bits.plain(64), 64)]
-        step = IntegerModel()
-        for _ in range(1, count):
-            palette.append(wrap(palette[-1] + step.code(bits), 64))
+        entries = palette(bits, MOST_LEVELS)
         rows = beside.rows or [0] * records
         columns = beside.columns or [0] * records
         if self.levels is None:
             self.levels = Levels()
-        self.levels.start(count, max(rows, default=0) + 1, records)
+        self.levels.start(len(entries), max(rows, default=0) + 1, records)
         found = []
         for row, column in zip(rows, columns):
             if has_exceptions and self.is_off.code(bits):
                 found.append(at_rank(kind, self.off_scale(bits)))
             else:
                 level = self.levels.code(bits, row, column)
-                found.append(scale.value(palette[min(level, count - 1)]))
+                found.append(scale.value(entries[min(level, len(entries) - 1)]))
         return found
 
     def code_image(self, bits, scale, kind, records, beside):

@@ -6,7 +6,7 @@ use std::ops::Range;
 use super::column::{ColumnModel, Places};
 use super::image::LIMIT;
 use super::integers::{ENTRIES, Site, slot};
-use super::levels::Palette;
+use super::levels::{MOST_LEVELS, Palette};
 use super::plan::{Geometry, Image, Integers, Levels, Plan};
 use super::rules::{Rule, RuleState};
 use super::{Sources, is_constant, may_be_key};
@@ -45,6 +45,7 @@ pub struct Choice {
 /// The best of all ways to code integers in a frame.
 #[derive(Clone, Copy)]
 pub struct Tried {
+    scalar: ScalarType,
     plan: Integers,
     /// Bytes per record of a sample.
     bytes: f64,
@@ -155,7 +156,7 @@ impl ColumnModel {
         let (mut best, tried) = self.best_way(Integers { lag, ..plain }, of_sample, &part);
         // A few records, as of a scan that was cut short, tell nothing about the next frame.
         let tells = part.records() >= FEWEST;
-        let tried = Tried { plan: best, bytes: tried as f64 / part.records().max(1) as f64 };
+        let tried = Tried { scalar, plan: best, bytes: tried as f64 / part.records().max(1) as f64 };
         if let Ruled::OfSome(ruled) = ruled {
             let [of_best, of_ruled] = [best, ruled].map(|plan| self.size_of(&Plan::Integers(plan), column));
             best = if of_ruled < of_best { ruled } else { best };
@@ -206,7 +207,7 @@ impl ColumnModel {
     /// A plan by neighbours, if the column was last coded by one of that kind: they suit the same columns in
     /// all frames.
     fn same_kind(&self, plain: Integers, column: &Column) -> Option<Plan> {
-        match self.last_plan()? {
+        match self.last_plan(column.scalar)? {
             Plan::Levels(_) => levels_plan(plain, column),
             Plan::Image(_) => image_plan(plain, column),
             _ => None,
@@ -218,7 +219,8 @@ impl ColumnModel {
     fn tried_plan(&self, plain: Integers, part: &Column) -> Option<Integers> {
         /// Up to this factor, more bytes count as equally good.
         const MORE: f64 = 1.02;
-        let Tried { plan, bytes } = self.tried.filter(|tried| tried.plan.scale == plain.scale)?;
+        let is_same = |tried: &Tried| tried.scalar == part.scalar && tried.plan.scale == plain.scale;
+        let Tried { plan, bytes, .. } = self.tried.filter(is_same)?;
         let plan = Integers { has_exceptions: plain.has_exceptions, ..plan };
         let most = bytes * MORE * part.records() as f64;
         let taken = self.size_of(&Plan::Integers(plan), part);
@@ -232,7 +234,7 @@ impl ColumnModel {
         let is_of_image = matches!(plan.rule, Some(Rule::Column | Rule::Tick));
         if !is_of_image
             || column.sources.context.ticks.is_empty()
-            || self.last_plan() == Some(Plan::Integers(plan))
+            || self.last_plan(column.scalar) == Some(Plan::Integers(plan))
         {
             return Ok(plan);
         }
@@ -268,7 +270,7 @@ impl ColumnModel {
                 (least, best) = (misses, Some(plan));
             }
         };
-        if let Some(Plan::Integers(plan)) = self.last_plan()
+        if let Some(Plan::Integers(plan)) = self.last_plan(part.scalar)
             && plan.rule.is_some()
         {
             consider(Integers { scale: plain.scale, has_exceptions: plain.has_exceptions, ..plan });
@@ -298,10 +300,12 @@ impl ColumnModel {
         }
         let best = best?;
         let is_sure = least <= few(&best)
-            && (least <= integers.len() / 2 / FEW || self.last_plan() == Some(Plan::Integers(best)) || {
-                let size = |plan| self.size_of(&Plan::Integers(plan), part);
-                size(best) <= size(Integers { rule: None, ..best })
-            });
+            && (least <= integers.len() / 2 / FEW
+                || self.last_plan(part.scalar) == Some(Plan::Integers(best))
+                || {
+                    let size = |plan| self.size_of(&Plan::Integers(plan), part);
+                    size(best) <= size(Integers { rule: None, ..best })
+                });
         Some((best, is_sure))
     }
 
@@ -458,7 +462,7 @@ fn is_same(column: &Column, source: usize) -> bool {
 
 /// The plan to code values as levels, if they are few.
 fn levels_plan(Integers { scale, has_exceptions, .. }: Integers, column: &Column) -> Option<Plan> {
-    Palette::of(integers_on(scale, column))?;
+    Palette::of(integers_on(scale, column), MOST_LEVELS)?;
     Some(Plan::Levels(Levels { scale, has_exceptions }))
 }
 

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use super::choice::Tried;
 use super::image::ImageModel;
 use super::integers::{IntegersModel, Site};
-use super::levels::{LevelsModel, Palette};
+use super::levels::{LevelsModel, MOST_LEVELS, Palette};
 use super::plan::{Geometry, Image, Integers, Levels, Plan};
 use super::rules::{AFTER, BEAM, COLUMN, Rule, RuleModel, TICK, TURN};
 use super::{RecordContext, Sources, may_be_key};
@@ -23,8 +23,8 @@ pub struct ColumnModel {
     rules: RuleModel,
     levels: Option<LevelsModel>,
     image: Option<ImageModel>,
-    /// The plan by which it was last coded.
-    last_plan: Option<Plan>,
+    /// The type of the values and the plan by which it was last coded.
+    last: Option<(ScalarType, Plan)>,
     /// The best plan that an encoder found, if the column was coded by it.
     pub tried: Option<Tried>,
     off: OffModel,
@@ -67,7 +67,7 @@ impl ColumnModel {
             if scale != Scale::RANK && !scalar.is_float() {
                 return Err(Error::corrupt("channels: a scale of integers"));
             }
-            self.last_plan = Some(plan);
+            self.last = Some((scalar, plan));
         }
         if plan.has_image() {
             sources.images.check()?;
@@ -131,7 +131,8 @@ impl ColumnModel {
         let grid = plan.scale.grid(scalar);
         let count = values.len() / scalar.size() as usize;
         let integers = known_integers::<C>(&grid, values);
-        let palette = Palette::of(integers.iter().copied().flatten()).unwrap_or_default().code(coder)?;
+        let known = Palette::of(integers.iter().copied().flatten(), MOST_LEVELS);
+        let palette = known.unwrap_or_default().code(coder, MOST_LEVELS)?;
         let model = self.levels.get_or_insert_default();
         model.start_frame(&palette, context.size(), count);
         let off = OffGrid { model: &mut self.off, has_exceptions: plan.has_exceptions, grid: &grid };
@@ -181,9 +182,15 @@ impl ColumnModel {
         Ok(())
     }
 
-    /// The plan by which the column was last coded, unless its values were constant or those of another one.
-    pub fn last_plan(&self) -> Option<Plan> {
-        self.last_plan
+    /// The plan by which values of this type were last coded, if the last ones were neither of another type, constant,
+    /// nor those of another column.
+    pub fn last_plan(&self, scalar: ScalarType) -> Option<Plan> {
+        self.last.filter(|(of, _)| *of == scalar).map(|(_, plan)| plan)
+    }
+
+    /// Whether the last plan codes values by an image.
+    pub fn has_image(&self) -> bool {
+        self.last.is_some_and(|(_, plan)| plan.has_image())
     }
 }
 

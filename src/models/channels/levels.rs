@@ -8,8 +8,10 @@ use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::models::intensity::{IntensityModel, IntensityNeighbours, IntensityScale};
 
-/// The largest number of values.
-const MOST_LEVELS: usize = 512;
+/// The largest number of values that are coded as levels.
+pub const MOST_LEVELS: usize = 512;
+/// The largest number of values of any palette.
+pub const MOST_ENTRIES: usize = u16::MAX as usize;
 
 /// The highest value and the lowest differ by less than this, so that their differences can be coded.
 const WIDEST: i64 = 1 << 62;
@@ -26,12 +28,12 @@ impl Default for Palette {
 }
 
 impl Palette {
-    /// The values of these integers; `None` if there are too many, or if they lie too far apart.
-    pub fn of(integers: impl Iterator<Item = i64>) -> Option<Self> {
+    /// The values of these integers; `None` if there are more than `most`, or if they lie too far apart.
+    pub fn of(integers: impl Iterator<Item = i64>, most: usize) -> Option<Self> {
         let mut values = BTreeSet::new();
         let mut last = None;
         for integer in integers {
-            if last != Some(integer) && values.insert(integer) && values.len() > MOST_LEVELS {
+            if last != Some(integer) && values.insert(integer) && values.len() > most {
                 return None;
             }
             last = Some(integer);
@@ -41,19 +43,22 @@ impl Palette {
         (span < WIDEST).then_some(Palette(values))
     }
 
-    /// Codes the values; a decoder passes any palette.
+    /// Codes the values, of which there may be `most`; a decoder passes any palette.
     ///
     /// # Errors
-    /// If a decoder reads too many values.
-    pub fn code<C: BitCoder>(self, coder: &mut C) -> Result<Self> {
+    /// If a decoder reads too many values, or none.
+    pub fn code<C: BitCoder>(&self, coder: &mut C, most: usize) -> Result<Self> {
         let count = coder.code_plain(self.0.len() as u64, 16) as usize;
-        if count == 0 || count > MOST_LEVELS {
-            return Err(Error::corrupt("channels: too many levels"));
+        if count == 0 || count > most {
+            return Err(Error::corrupt("channels: too many values of a palette"));
         }
         let first = coder.code_plain(self.0.first().copied().unwrap_or(0) as u64, 64) as i64;
         let mut steps = IntegerModel::default();
         let mut values = vec![first];
         for at in 1..count {
+            if coder.is_exhausted() {
+                break;
+            }
             let step = self.0.get(at).map_or(0, |value| value.wrapping_sub(self.0[at - 1]) as u64);
             let last = values[at - 1];
             values.push(last.wrapping_add(steps.code(coder, step) as i64));
@@ -61,11 +66,13 @@ impl Palette {
         Ok(Palette(values))
     }
 
-    fn level_of(&self, value: i64) -> usize {
+    /// The index of a value of the palette.
+    pub fn level_of(&self, value: i64) -> usize {
         self.0.partition_point(|&other| other < value)
     }
 
-    fn value_of(&self, level: usize) -> i64 {
+    /// The value with this index, or the last one.
+    pub fn value_of(&self, level: usize) -> i64 {
         self.0[level.min(self.0.len() - 1)]
     }
 }

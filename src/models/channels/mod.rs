@@ -19,14 +19,16 @@ pub use compressed::{Compressed, code_compressed};
 use std::borrow::Cow;
 use std::ops::Range;
 
-use choice::Column;
+use choice::{Choice, Column};
 use column::{ColumnModel, convert};
-use plan::Plan;
+use levels::{MOST_ENTRIES, Palette};
+use plan::{Integers, Plan};
 
 use super::ByteModel;
 use crate::backend::{Compressors, Trial};
 use crate::entropy::{ArithmeticEncoder, BitCoder};
 use crate::ground::error::{Error, Result};
+use crate::models::numbers::Scale;
 use crate::scan::{Channel, Field, ScalarType};
 
 /// Fields with more values than this are coded as bytes.
@@ -97,10 +99,13 @@ enum Shape {
     Bytes,
     /// By a general-purpose coder.
     Compressed,
+    /// The values that occur, and a column of their numbers.
+    Palette,
 }
 
 impl Shape {
-    const ALL: [Shape; 4] = [Shape::Constant, Shape::Columns, Shape::Bytes, Shape::Compressed];
+    const ALL: [Shape; 5] =
+        [Shape::Constant, Shape::Columns, Shape::Bytes, Shape::Compressed, Shape::Palette];
 
     /// Codes the number of the shape.
     fn code<C: BitCoder>(self, coder: &mut C) -> Result<Self> {
@@ -154,7 +159,7 @@ impl ChannelsModel {
             channels[channel].bytes = bytes;
             known.push(channel);
         }
-        let has_images = self.columns.iter().any(|model| model.last_plan().is_some_and(Plan::has_image));
+        let has_images = self.columns.iter().any(ColumnModel::has_image);
         Ok(if has_images { images.cells } else { 0 })
     }
 }
@@ -343,6 +348,21 @@ impl ChannelCoder<'_> {
                 Ok(())
             }
             Shape::Compressed => code_compressed(coder, compressed, self.scalar, self.width, bytes),
+            Shape::Palette => {
+                let [model] = &mut *self.columns else {
+                    return Err(Error::corrupt("channels: a palette of several columns"));
+                };
+                let mut numbered =
+                    Numbered::of(self.scalar, bytes).filter(|_| C::ENCODES).unwrap_or_default();
+                numbered.palette = numbered.palette.code(coder, MOST_ENTRIES)?;
+                numbered.numbers.resize(bytes.len() / self.width * 2, 0);
+                let plan = plans.first().copied().unwrap_or_default();
+                model.code(coder, &plan, sources, NUMBER, &mut numbered.numbers)?;
+                if !C::ENCODES {
+                    numbered.write(self.scalar, bytes);
+                }
+                Ok(())
+            }
             Shape::Columns => {
                 plans.resize_with(self.columns.len(), Plan::default);
                 match &mut *self.columns {
@@ -376,6 +396,13 @@ impl ChannelCoder<'_> {
         {
             return (Shape::Compressed, Vec::new(), Some(compressed));
         }
+        if let [model] = &*self.columns
+            && model.last_plan(NUMBER).is_some()
+            && let Some((choice, _)) = self.by_palette(sources, bytes).filter(|(choice, _)| choice.is_sure)
+        {
+            self.columns[0].tried = choice.tried;
+            return (Shape::Palette, vec![choice.plan], None);
+        }
         let mut plans = Vec::new();
         let (mut size, mut is_sure) = (0usize, !self.columns.is_empty());
         let columns = split(bytes, self.scalar, self.columns.len());
@@ -389,29 +416,51 @@ impl ChannelCoder<'_> {
         if is_sure || !plans.is_empty() && size <= SMALL.max(bytes.len() / self.width / MANY) {
             return (Shape::Columns, plans, None);
         }
-        let (shape, compressed) = self.choose_shape(sources, bytes, &plans, size);
-        if shape != Shape::Columns {
+        let mut own = (Shape::Columns, size);
+        // A palette is worth a try if values lie on no scale.
+        let has_no_scale = matches!(plans[..], [Plan::Integers(Integers { scale: Scale::RANK, .. })]);
+        let by_palette = if has_no_scale { self.by_palette(sources, bytes) } else { None };
+        if let Some((choice, size)) = by_palette.filter(|(_, least)| *least < size) {
+            own = (Shape::Palette, size);
+            plans = vec![choice.plan];
+            self.columns[0].tried = choice.tried;
+        }
+        let (shape, compressed) = self.choose_shape(sources, bytes, &plans, own);
+        if shape != own.0 {
             self.columns.iter_mut().for_each(|model| model.tried = None);
         }
         (shape, plans, compressed)
     }
 
-    /// The shape that takes the fewest bytes; `size` is that of the columns.
+    /// The best way to code a channel of single values by a palette, and about the number of bytes; `None` if it has
+    /// too many values.
+    fn by_palette(&self, sources: &Sources, bytes: &[u8]) -> Option<(Choice, usize)> {
+        let [model] = &*self.columns else { return None };
+        let Numbered { palette, numbers } = Numbered::of(self.scalar, bytes)?;
+        let choice = model.choose(&Column { sources, scalar: NUMBER, values: &numbers });
+        let mut encoder = ArithmeticEncoder::default();
+        palette.code(&mut encoder, MOST_ENTRIES).ok()?;
+        let size = choice.bytes.saturating_add(encoder.finish().len());
+        Some((choice, size))
+    }
+
+    /// The shape that takes the fewest bytes; `own` is that by columns or by a palette, and its size.
     fn choose_shape(
         &mut self,
         sources: &Sources,
         bytes: &[u8],
         plans: &[Plan],
-        size: usize,
+        own: (Shape, usize),
     ) -> (Shape, Option<Compressed>) {
         /// Sizes estimated from a sample are accurate to within one part in this number.
         const UNSURE: usize = 8;
         let sampled = choice::gather(bytes, self.width, &choice::sample(bytes.len() / self.width));
         let as_bytes = self.size_as_bytes(&sampled).saturating_mul(bytes.len()) / sampled.len().max(1);
         let as_bytes = self.handicapped(as_bytes);
+        let (own, size) = own;
         let (mut best, shape) = match plans.is_empty() || as_bytes < size {
             true => (as_bytes, Shape::Bytes),
-            false => (size, Shape::Columns),
+            false => (size, own),
         };
         let likeness = || Trial::likeness(bytes, bytes.len() / self.width);
         if self.trial.has_lost(likeness) {
@@ -424,6 +473,7 @@ impl ChannelCoder<'_> {
         if sampled.len() < bytes.len() {
             best = match shape {
                 Shape::Columns => self.size_as_columns(plans, sources, bytes),
+                Shape::Palette => best,
                 _ => self.handicapped(self.size_as_bytes(bytes)),
             };
         }
@@ -468,6 +518,41 @@ impl ChannelCoder<'_> {
                 model.size_of(plan, &Column { sources, scalar: self.scalar, values: &values })
             })
             .sum()
+    }
+}
+
+/// The type of the numbers of a palette's entries.
+const NUMBER: ScalarType = ScalarType::U16;
+
+/// Values as the numbers of the entries of a palette.
+#[derive(Default)]
+struct Numbered {
+    palette: Palette,
+    /// Two bytes each, the lower one first.
+    numbers: Vec<u8>,
+}
+
+impl Numbered {
+    /// `None` if there are too many values for a palette, or too few records of each.
+    fn of(scalar: ScalarType, bytes: &[u8]) -> Option<Self> {
+        /// Records to each entry of a palette, at least.
+        const FEWEST: usize = 16;
+        if scalar.size() <= NUMBER.size() {
+            return None;
+        }
+        let ranks: Vec<i64> = Scale::RANK.grid(scalar).integers(bytes).into_iter().collect::<Option<_>>()?;
+        let palette = Palette::of(ranks.iter().copied(), MOST_ENTRIES.min(ranks.len() / FEWEST))?;
+        let numbers = ranks.iter().flat_map(|&rank| (palette.level_of(rank) as u16).to_le_bytes());
+        Some(Numbered { numbers: numbers.collect(), palette })
+    }
+
+    /// Writes the values.
+    fn write(&self, scalar: ScalarType, bytes: &mut [u8]) {
+        let grid = Scale::RANK.grid(scalar);
+        let values = bytes.chunks_exact_mut(scalar.size() as usize);
+        for (value, number) in values.zip(self.numbers.as_chunks().0) {
+            grid.write(self.palette.value_of(u16::from_le_bytes(*number).into()), value);
+        }
     }
 }
 

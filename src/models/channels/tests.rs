@@ -72,6 +72,22 @@ fn what_follows_from_the_beam_costs_next_to_nothing() {
 }
 
 #[test]
+fn few_values_on_no_grid_are_coded_by_their_numbers() {
+    let level = |n: u32| (n % 1180).min(1180 - n % 1180) + noise(n) % 16;
+    let values: Vec<f64> = (0..3 * RECORDS).map(|n| (f64::from(level(n)) / 641.0).sqrt()).collect();
+    let single = channel("intensity", ScalarType::F32, values.iter().map(|v| (*v as f32).to_le_bytes()));
+    let double = channel("reflectivity", ScalarType::F64, values.iter().rev().map(|v| v.to_le_bytes()));
+    for channel in [single, double] {
+        let (channels, none) = ([channel], RecordContext::default());
+        let sizes = frames_round_trip(&[(&channels[..], &none); 3]);
+        let bits = 8.0 * sizes[0] as f64 / values.len() as f64;
+        // The noise takes 4 bits, and each of some 600 values a few bytes. They are too many for levels.
+        assert!(bits < 7.0, "{bits} bits a value");
+        assert!(sizes.is_sorted_by(|before, after| before >= after), "{sizes:?}");
+    }
+}
+
+#[test]
 fn times_of_firings_are_explained_by_the_ring() {
     let returns = returns();
     let ring = channel("ring", ScalarType::U16, returns.iter().map(|n| ((n % 16) as u16).to_le_bytes()));
