@@ -55,7 +55,7 @@ pub enum Command {
     Cut(CutArgs),
     /// Join files into one, without encoding them again.
     Cat(CatArgs),
-    /// Write the intact groups of a damaged file as a new file.
+    /// Write the intact frames of a damaged file as a new file.
     Repair(RepairArgs),
     /// Draw a frame as a PNG, or a whole drive as an HTML page: points, range image, regions, prediction.
     View(ViewArgs),
@@ -324,8 +324,8 @@ pub struct DecodeArgs {
     /// Frames to decode, by time since the first frame: `12s..15s` (without 15 s), `1m30s..`, `..0.5`.
     #[arg(long, allow_negative_numbers = true, value_name = "RANGE", conflicts_with = "frames")]
     pub time: Option<TimeRange>,
-    /// Decode the intact groups of frames of a damaged file, report which frames are lost, and exit with 3 if
-    /// any are.
+    /// Decode the intact frames of a damaged file, report which are lost, and exit with 3 if any are. In a group,
+    /// a damaged frame takes those after it along.
     #[arg(long)]
     pub keep_going: bool,
     /// Convert the scans from any format. Coordinates keep every bit (in text, except for the payload of a

@@ -202,34 +202,60 @@ impl Group {
     /// once).
     pub fn read_from(mut input: &[u8], limits: &Limits) -> Result<(Self, Vec<FrameEntry>)> {
         let input = &mut input;
-        let scanners = read_scanners(input)?;
+        let mut group = Group { scanners: read_scanners(input)?, frames: Vec::new() };
         let frame_count = read_unsigned(input, "frame count")?;
-        let (mut frames, mut entries) = (Vec::new(), Vec::new());
-        let mut file_bytes = 0u64;
+        let (mut entries, mut file_bytes) = (Vec::new(), 0);
         for number in 0..frame_count {
-            let before = input.len();
-            let frame = CodedFrame::read_from(input, limits).map_err(|e| e.within_frame_of_group(number))?;
-            let stamp = frame.header.stamp;
-            if usize::from(stamp.track) >= scanners.len() {
-                let what = format!("track {} of {}", stamp.track, scanners.len());
-                return Err(Error::corrupt(what).within_frame_of_group(number));
-            }
-            if entries
-                .first()
-                .is_some_and(|first: &FrameEntry| first.is_beside() != (stamp.kind == FrameKind::Beside))
-            {
-                let what = "a file beside the scans, in a group with scans".to_owned();
-                return Err(Error::corrupt(what).within_frame_of_group(number));
-            }
-            file_bytes = file_bytes.saturating_add(frame.header.file_size);
-            Error::check_limit("bytes of a group's files", file_bytes, limits.file_bytes)?;
-            frames.push(frame);
-            entries.push(FrameEntry { size: (before - input.len()) as u64, stamp });
+            let entry = group.read_frame(input, limits, &mut file_bytes);
+            entries.push(entry.map_err(|e| e.within_frame_of_group(number))?);
         }
         if !input.is_empty() {
             return Err(Error::corrupt(format!("{} bytes left over after the last frame", input.len())));
         }
-        Ok((Group { scanners, frames }, entries))
+        Ok((group, entries))
+    }
+
+    /// Reads the next frame, and returns the entry that the index must have for it. `file_bytes`: those of all files
+    /// so far.
+    fn read_frame(&mut self, input: &mut &[u8], limits: &Limits, file_bytes: &mut u64) -> Result<FrameEntry> {
+        let before = input.len();
+        let frame = CodedFrame::read_from(input, limits)?;
+        let stamp = frame.header.stamp;
+        if usize::from(stamp.track) >= self.scanners.len() {
+            return Err(Error::corrupt(format!("track {} of {}", stamp.track, self.scanners.len())));
+        }
+        let is_beside = stamp.kind == FrameKind::Beside;
+        if !self.frames.is_empty() && self.is_beside() != is_beside {
+            return Err(Error::corrupt("a file beside the scans, in a group with scans"));
+        }
+        *file_bytes = file_bytes.saturating_add(frame.header.file_size);
+        Error::check_limit("bytes of a group's files", *file_bytes, limits.file_bytes)?;
+        self.frames.push(frame);
+        Ok(FrameEntry { size: (before - input.len()) as u64, stamp })
+    }
+
+    /// Reads the frames before the first one that is damaged, from the payload of a damaged group record whose frames
+    /// are known from the index; also returns the number of bytes that are left. A prefix of a group is a group, too.
+    /// `None` if there are no such frames, or if no frame shows the damage: then a name may be wrong.
+    pub(super) fn read_prefix(
+        payload: &[u8],
+        entries: &[FrameEntry],
+        limits: &Limits,
+    ) -> Option<(Self, u64)> {
+        let input = &mut &*payload;
+        let mut group = Group { scanners: read_scanners(input).ok()?, frames: Vec::new() };
+        let frame_count = read_unsigned(input, "frame count").ok()?;
+        let (mut left, mut file_bytes) = (input.len(), 0);
+        for entry in entries {
+            let before = group.frames.len();
+            if group.read_frame(input, limits, &mut file_bytes).ok() != Some(*entry) {
+                group.frames.truncate(before);
+                break;
+            }
+            left = input.len();
+        }
+        let is_part = (1..entries.len()).contains(&group.frames.len());
+        (is_part && frame_count == entries.len() as u64).then_some((group, left as u64))
     }
 }
 

@@ -12,6 +12,9 @@ pub(super) const GROUP: u8 = 2;
 pub(super) const INDEX: u8 = 3;
 pub(super) const END: u8 = 4;
 
+/// Bytes of a record's checksum.
+pub(super) const CHECKSUM_LENGTH: u64 = 4;
+
 /// A record as read. A wrong checksum is left to the caller, which can report it best.
 pub(super) struct RawRecord {
     pub kind: u8,
@@ -38,7 +41,7 @@ pub(super) fn write_record(out: &mut impl Write, kind: u8, payload: &[u8]) -> Re
     out.write_all(&head)?;
     out.write_all(payload)?;
     out.write_all(&crc.to_le_bytes())?;
-    Ok(WrittenRecord { length: (head.len() + payload.len() + 4) as u64, crc })
+    Ok(WrittenRecord { length: (head.len() + payload.len()) as u64 + CHECKSUM_LENGTH, crc })
 }
 
 /// The checksum of a record.
@@ -57,7 +60,13 @@ pub(super) fn read_record(input: &mut impl Read, limits: &Limits) -> Result<RawR
     read_exact(input, &mut crc, "record checksum")?;
     let (kind, crc) = (kind[0], u32::from_le_bytes(crc));
     let intact = checksum(kind, &payload) == crc;
-    Ok(RawRecord { kind, length: head(kind, length).len() as u64 + length + 4, payload, crc, intact })
+    Ok(RawRecord {
+        kind,
+        length: head(kind, length).len() as u64 + length + CHECKSUM_LENGTH,
+        payload,
+        crc,
+        intact,
+    })
 }
 
 /// Kind and length, which precede the payload.

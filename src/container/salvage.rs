@@ -1,13 +1,13 @@
 //! Reads the intact parts of a damaged stream.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 
 use super::group::Group;
 use super::header::{HEADER_LENGTH, StreamHeader};
 use super::index::{End, Index};
-use super::record::{END, GROUP, INDEX, RawRecord, SCANNER, read_record};
+use super::record::{CHECKSUM_LENGTH, END, GROUP, INDEX, RawRecord, SCANNER, read_record};
 use super::scanner::{ScannerId, ScannerRecord, ScannerRecords};
 use super::search::{FoundRecord, find_records};
 use crate::ground::SKIPPABLE;
@@ -16,12 +16,12 @@ use crate::ground::error::{Error, Limits, Result};
 /// A part of a damaged stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Salvaged {
-    /// An intact group.
+    /// An intact group, or the frames of a damaged one that come before the damage.
     Group {
         /// Number of its first frame in the sequence; counted among the frames found, if the number of lost
         /// frames is unknown.
         first_frame: u64,
-        /// The bytes of its record, counted from the start of the stream.
+        /// The bytes of its record, as far as it is intact, counted from the start of the stream.
         bytes: Range<u64>,
         /// The frames.
         group: Group,
@@ -43,7 +43,8 @@ pub struct Lost {
     pub why: String,
 }
 
-/// Reads the intact parts of a stream: all records whose checksum matches, wherever they are. One intact copy
+/// Reads the intact parts of a stream: all records whose checksum matches, wherever they are, and of groups whose
+/// checksum does not match, but which are where the index says, the frames before the damage. One intact copy
 /// of a scanner is enough, before or after the groups that use it. The numbers of the frames come from the
 /// index, if it is intact; so does the order of the groups. Records in another order than the index lists are
 /// reported as a loss of zero frames, because a sequential decoder rejects them.
@@ -59,6 +60,13 @@ pub struct SalvageReader<R> {
     /// By the offset of each record that is a group: the group that is returned in its turn, and the place of
     /// that in the stream's index, if it has one.
     groups: HashMap<u64, (FoundRecord, Option<usize>)>,
+    /// The places in the index of the groups that were not found, by offset, without those that were searched for
+    /// frames.
+    missing: VecDeque<usize>,
+    /// The end of the last of these that was.
+    searched: u64,
+    /// The damaged group whose first frames were the last part: where it starts, and how many they are.
+    begun: Option<(u64, usize)>,
     /// The locations of the records so far, to be compared with the stream's own index.
     seen: Index,
     /// Offset of the first group that comes before its scanner, or after groups that it must precede.
@@ -99,6 +107,9 @@ impl<R: Read + Seek> SalvageReader<R> {
             scanners: ScannerRecords::default(),
             index: None,
             groups: HashMap::new(),
+            missing: VecDeque::new(),
+            searched: 0,
+            begun: None,
             seen: Index::default(),
             misplaced: None,
             has_lost: false,
@@ -140,6 +151,9 @@ impl<R: Read + Seek> SalvageReader<R> {
         let groups = self.records.iter().filter(|record| record.kind == GROUP);
         let mut found: Vec<_> =
             groups.map(|group| (*group, places.get_mut(&group.crc).and_then(Vec::pop))).collect();
+        let mut missing: Vec<usize> = places.into_values().flatten().collect();
+        missing.sort_unstable_by_key(|place| (entries[*place].offset, *place));
+        self.missing = missing.into();
         // Groups that swapped their positions swap back; those that the index does not know keep theirs.
         let mut ordered: Vec<_> = found.iter().filter(|(_, place)| place.is_some()).copied().collect();
         ordered.sort_by_key(|(_, place)| *place);
@@ -182,8 +196,8 @@ impl<R: Read + Seek> SalvageReader<R> {
                 (Some(index), Some(place)) => index.groups[place].first_frame,
                 _ => self.next_frame,
             };
-            if let Some(lost) = self.lost_before(found.offset, first_frame)? {
-                return Ok(Some(self.lose(lost)));
+            if let Some(part) = self.part_before(found.offset, first_frame)? {
+                return Ok(Some(part));
             }
             self.next += 1;
             self.position = found.end();
@@ -196,20 +210,55 @@ impl<R: Read + Seek> SalvageReader<R> {
         if self.ended {
             return Ok(None);
         }
-        self.ended = true;
         let frames = self.index.as_ref().map_or(self.next_frame, Index::frame_count);
-        if let Some(lost) = self.lost_before(self.size, frames)? {
-            return Ok(Some(self.lose(lost)));
+        if let Some(part) = self.part_before(self.size, frames)? {
+            self.ended = self.position == self.size;
+            return Ok(Some(part));
         }
+        self.ended = true;
         let Some((offset, why)) = self.fault_of_order()? else { return Ok(None) };
         let frames = self.index.is_some().then_some(self.next_frame..self.next_frame);
         let lost = Lost { bytes: offset..offset, frames, names: Vec::new(), why: why.to_owned() };
-        Ok(Some(self.lose(lost)))
+        Ok(Some(Salvaged::Lost(lost)))
     }
 
-    fn lose(&mut self, lost: Lost) -> Salvaged {
-        self.has_lost = true;
-        Salvaged::Lost(lost)
+    /// The next part in the bytes before `offset` and the frames before `frame`, where no record is intact.
+    fn part_before(&mut self, offset: u64, frame: u64) -> Result<Option<Salvaged>> {
+        while let (Some(index), Some(&place)) = (&self.index, self.missing.front()) {
+            let entry = &index.groups[place];
+            let (start, first_frame) = (entry.offset, entry.first_frame);
+            if start >= offset {
+                break;
+            }
+            // In an index that is right, groups do not overlap.
+            let is_next = start >= self.position.max(self.searched);
+            let end = start.saturating_add(entry.length);
+            if is_next && let Some((group, left)) = self.prefix_of(place)? {
+                if let Some(lost) = self.lost_before(start, first_frame)? {
+                    return Ok(Some(lost));
+                }
+                let (bytes, frames) = (start..end - CHECKSUM_LENGTH - left, group.frames.len());
+                self.begun = Some((start, frames));
+                (self.position, self.next_frame) = (bytes.end, first_frame + frames as u64);
+                return Ok(Some(Salvaged::Group { first_frame, bytes, group }));
+            }
+            self.missing.pop_front();
+            self.searched = self.searched.max(end);
+        }
+        self.lost_before(offset, frame)
+    }
+
+    /// The frames before the damage of the group that the index has in this place, and the number of bytes after them.
+    fn prefix_of(&mut self, place: usize) -> Result<Option<(Group, u64)>> {
+        let Some(entry) = self.index.as_ref().map(|index| &index.groups[place]) else { return Ok(None) };
+        self.input.seek(SeekFrom::Start(entry.offset))?;
+        match read_record(&mut self.input.by_ref().take(entry.length), &self.limits) {
+            Ok(raw) if (raw.kind, raw.length) == (GROUP, entry.length) => {
+                Ok(Group::read_prefix(&raw.payload, &entry.frames, &self.limits))
+            }
+            Err(Error::Io(error)) => Err(error.into()),
+            _ => Ok(None),
+        }
     }
 
     fn read_group(&mut self, found: FoundRecord, first_frame: u64) -> Result<Salvaged> {
@@ -255,18 +304,20 @@ impl<R: Read + Seek> SalvageReader<R> {
     }
 
     /// The loss in the bytes before `offset` and the frames before `frame`, if there is any.
-    fn lost_before(&mut self, offset: u64, frame: u64) -> Result<Option<Lost>> {
+    fn lost_before(&mut self, offset: u64, frame: u64) -> Result<Option<Salvaged>> {
         self.skip_unknown(offset)?;
         // If the bytes come from several streams, there may be more frames than the index counts.
         let (bytes, frames) = (self.position..offset, self.next_frame.min(frame)..frame);
         if bytes.is_empty() && frames.is_empty() {
             return Ok(None);
         }
-        let names = self.names_in(bytes.clone())?;
+        let (start, known) = self.begun.take().unwrap_or((bytes.start, 0));
+        let names = self.names_in(start..offset)?.into_iter().skip(known).collect();
         (self.position, self.next_frame) = (offset, frame);
         let frames = self.index.is_some().then_some(frames);
         let why = if bytes.is_empty() { "records are missing" } else { "checksums do not match" }.to_owned();
-        Ok(Some(Lost { bytes, frames, names, why }))
+        self.has_lost = true;
+        Ok(Some(Salvaged::Lost(Lost { bytes, frames, names, why })))
     }
 
     /// Skips records that older programs may skip.

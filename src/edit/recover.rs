@@ -21,9 +21,10 @@ pub enum Recovered {
     Lost(Lost),
 }
 
-/// Decodes all intact groups of a damaged stream, and passes frames and losses to `sink`, in order. A group
-/// is lost if its record is damaged or missing, or if every copy of a scanner that it needs is. Frames keep
-/// their numbers if the index is intact; otherwise the recovered frames are numbered consecutively. An
+/// Decodes all intact groups of a damaged stream and, of damaged ones that the index knows, the frames before the
+/// damage; passes frames and losses to `sink`, in order. A group is lost if its record is missing, or if every copy of
+/// a scanner that it needs is damaged or missing. Frames keep their numbers if the index is intact; otherwise the
+/// recovered frames are numbered consecutively. An
 /// undamaged stream is recovered completely. Returns the number of intact files beside the scans that are
 /// left out because only some frames are requested.
 ///
@@ -57,7 +58,7 @@ pub fn recover(
     Ok(groups.left_out)
 }
 
-/// Copies all intact groups of a damaged stream to a new one without decoding them; returns the number of
+/// Copies the groups that [`recover`] decodes to a new stream without decoding them; returns the number of
 /// frames. Losses are passed to `on_lost`. Files beside the scans come last, wherever they are.
 ///
 /// # Errors
