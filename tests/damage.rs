@@ -273,6 +273,21 @@ fn groups_without_any_copy_of_their_scanner_are_lost_and_no_others() {
     assert!(losses[1].why.contains("is lost"), "{}", losses[1].why);
 }
 
+#[test]
+fn a_lost_group_before_a_copy_of_a_scanner_is_told_once() {
+    let (_, stream) = scanned_and_others();
+    let index = check(&stream).unwrap();
+    let last = index.groups.last().unwrap();
+    assert!(index.scanners()[0].offsets.last().is_some_and(|offset| *offset > last.offset));
+    for place in [last.offset, last.offset + last.length - 12] {
+        let mut damaged = stream.clone();
+        damaged[place as usize] ^= 1;
+        let losses = saved(&damaged).1;
+        assert_eq!(losses.len(), 1, "{losses:?}");
+        assert_eq!(losses[0].frames, Some(last.first_frame..last.end()));
+    }
+}
+
 /// The start of each record of a stream, and its end.
 fn record_starts(stream: &[u8]) -> Vec<usize> {
     // After the stream header.

@@ -222,11 +222,12 @@ impl<R: Read + Seek> SalvageReader<R> {
         Ok(Some(Salvaged::Lost(lost)))
     }
 
-    /// The next part in the bytes before `offset` and the frames before `frame`, where no record is intact.
-    fn part_before(&mut self, offset: u64, frame: u64) -> Result<Option<Salvaged>> {
+    /// The next part in the bytes before `offset` and the frames before `frame`, or more of them, where no record is
+    /// intact.
+    fn part_before(&mut self, offset: u64, mut frame: u64) -> Result<Option<Salvaged>> {
         while let (Some(index), Some(&place)) = (&self.index, self.missing.front()) {
             let entry = &index.groups[place];
-            let (start, first_frame) = (entry.offset, entry.first_frame);
+            let (start, first_frame, end_frame) = (entry.offset, entry.first_frame, entry.end());
             if start >= offset {
                 break;
             }
@@ -241,6 +242,11 @@ impl<R: Read + Seek> SalvageReader<R> {
                 self.begun = Some((start, frames));
                 (self.position, self.next_frame) = (bytes.end, first_frame + frames as u64);
                 return Ok(Some(Salvaged::Group { first_frame, bytes, group }));
+            }
+            // A record that is no group does not tell which frames were before it.
+            let is_here = start >= self.position || self.begun.is_some_and(|(begun, _)| begun == start);
+            if is_here && first_frame <= frame {
+                frame = frame.max(end_frame);
             }
             self.missing.pop_front();
             self.searched = self.searched.max(end);
