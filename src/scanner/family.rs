@@ -94,6 +94,8 @@ impl Scanner {
     }
 
     fn of_sample(sample: &[ScanFile]) -> Option<Scanner> {
+        /// Minimum share of the points that a recipe reproduces only along the axes of the scanner.
+        const RIGHT_AXES: f64 = 0.75;
         let beams = || hdl64::fit(sample).map(Scanner::from);
         let fullest = fullest(sample)?;
         let positions = &fullest.cloud.positions;
@@ -108,7 +110,9 @@ impl Scanner {
         if let Some(found) = found.as_ref().filter(|scanner| scanner.reproduces_most(positions)) {
             return Some(found.clone().into());
         }
-        let turned = Self::with_other_axes(sample, fullest, found.as_ref());
+        // Along wrong axes, a recipe does not reproduce as many.
+        let turned = (exact < RIGHT_AXES).then(|| Self::with_other_axes(sample, fullest, found.as_ref()));
+        let turned = turned.flatten();
         if let Some((turned, _)) = turned.as_ref().filter(|(_, reproduces_most)| *reproduces_most) {
             return Some(turned.clone());
         }
