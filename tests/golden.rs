@@ -589,9 +589,9 @@ fn firing_files() -> Vec<File> {
 }
 
 /// Scans of a VLP-16 that no scanner explains, as they were moved with a car: with rings, without, each
-/// firing twice with intensities off any grid, in half precision, in steps of 5 mm, and but for the last hundred
-/// as differences of a map's coordinates in single precision; and a hundred points, the last one again and
-/// again, with some 600 intensities on no grid.
+/// firing twice with intensities off any grid, in half precision, in steps of 5 mm, and but for the last
+/// hundred as differences of a map's coordinates in single precision; and a hundred points, the last one
+/// again and again, with some 600 intensities on no grid.
 fn trail_files() -> Vec<File> {
     let config = SynthConfig { scanner: SynthScanner::Vlp16, thinning: 2, ..small(9, 4) };
     let mut frames = scans(&config);

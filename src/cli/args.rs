@@ -324,8 +324,8 @@ pub struct DecodeArgs {
     /// Frames to decode, by time since the first frame: `12s..15s` (without 15 s), `1m30s..`, `..0.5`.
     #[arg(long, allow_negative_numbers = true, value_name = "RANGE", conflicts_with = "frames")]
     pub time: Option<TimeRange>,
-    /// Decode the intact frames of a damaged file, report which are lost, and exit with 3 if any are. In a group,
-    /// a damaged frame takes those after it along.
+    /// Decode the intact frames of a damaged file, report which are lost, and exit with 3 if any are. In a
+    /// group, a damaged frame takes those after it along.
     #[arg(long)]
     pub keep_going: bool,
     /// Convert the scans from any format. Coordinates keep every bit (in text, except for the payload of a

@@ -215,8 +215,8 @@ impl Group {
         Ok((group, entries))
     }
 
-    /// Reads the next frame, and returns the entry that the index must have for it. `file_bytes`: those of all files
-    /// so far.
+    /// Reads the next frame, and returns the entry that the index must have for it. `file_bytes`: those of
+    /// all files so far.
     fn read_frame(&mut self, input: &mut &[u8], limits: &Limits, file_bytes: &mut u64) -> Result<FrameEntry> {
         let before = input.len();
         let frame = CodedFrame::read_from(input, limits)?;
@@ -234,9 +234,10 @@ impl Group {
         Ok(FrameEntry { size: (before - input.len()) as u64, stamp })
     }
 
-    /// Reads the frames before the first one that is damaged, from the payload of a damaged group record whose frames
-    /// are known from the index; also returns the number of bytes that are left. A prefix of a group is a group, too.
-    /// `None` if there are no such frames, or if no frame shows the damage: then a name may be wrong.
+    /// Reads the frames before the first one that is damaged, from the payload of a damaged group record
+    /// whose frames are known from the index; also returns the number of bytes that are left. A prefix of a
+    /// group is a group, too. `None` if there are no such frames, or if no frame shows the damage: then a
+    /// name may be wrong.
     pub(super) fn read_prefix(
         payload: &[u8],
         entries: &[FrameEntry],

@@ -43,11 +43,11 @@ pub struct Lost {
     pub why: String,
 }
 
-/// Reads the intact parts of a stream: all records whose checksum matches, wherever they are, and of groups whose
-/// checksum does not match, but which are where the index says, the frames before the damage. One intact copy
-/// of a scanner is enough, before or after the groups that use it. The numbers of the frames come from the
-/// index, if it is intact; so does the order of the groups. Records in another order than the index lists are
-/// reported as a loss of zero frames, because a sequential decoder rejects them.
+/// Reads the intact parts of a stream: all records whose checksum matches, wherever they are, and of groups
+/// whose checksum does not match, but which are where the index says, the frames before the damage. One
+/// intact copy of a scanner is enough, before or after the groups that use it. The numbers of the frames come
+/// from the index, if it is intact; so does the order of the groups. Records in another order than the index
+/// lists are reported as a loss of zero frames, because a sequential decoder rejects them.
 pub struct SalvageReader<R> {
     input: R,
     limits: Limits,
@@ -60,8 +60,8 @@ pub struct SalvageReader<R> {
     /// By the offset of each record that is a group: the group that is returned in its turn, and the place of
     /// that in the stream's index, if it has one.
     groups: HashMap<u64, (FoundRecord, Option<usize>)>,
-    /// The places in the index of the groups that were not found, by offset, without those that were searched for
-    /// frames.
+    /// The places in the index of the groups that were not found, by offset, without those that were searched
+    /// for frames.
     missing: VecDeque<usize>,
     /// The end of the last of these that was.
     searched: u64,
@@ -222,8 +222,8 @@ impl<R: Read + Seek> SalvageReader<R> {
         Ok(Some(Salvaged::Lost(lost)))
     }
 
-    /// The next part in the bytes before `offset` and the frames before `frame`, or more of them, where no record is
-    /// intact.
+    /// The next part in the bytes before `offset`, where no record is intact, and the frames before `frame`.
+    /// Before a record that is no group, which does not tell the number of a frame, there may be more.
     fn part_before(&mut self, offset: u64, mut frame: u64) -> Result<Option<Salvaged>> {
         while let (Some(index), Some(&place)) = (&self.index, self.missing.front()) {
             let entry = &index.groups[place];
@@ -243,7 +243,6 @@ impl<R: Read + Seek> SalvageReader<R> {
                 (self.position, self.next_frame) = (bytes.end, first_frame + frames as u64);
                 return Ok(Some(Salvaged::Group { first_frame, bytes, group }));
             }
-            // A record that is no group does not tell which frames were before it.
             let is_here = start >= self.position || self.begun.is_some_and(|(begun, _)| begun == start);
             if is_here && first_frame <= frame {
                 frame = frame.max(end_frame);
@@ -254,7 +253,8 @@ impl<R: Read + Seek> SalvageReader<R> {
         self.lost_before(offset, frame)
     }
 
-    /// The frames before the damage of the group that the index has in this place, and the number of bytes after them.
+    /// The frames before the damage of the group that the index has in this place, and the number of bytes
+    /// after them.
     fn prefix_of(&mut self, place: usize) -> Result<Option<(Group, u64)>> {
         let Some(entry) = self.index.as_ref().map(|index| &index.groups[place]) else { return Ok(None) };
         self.input.seek(SeekFrom::Start(entry.offset))?;

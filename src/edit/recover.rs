@@ -21,12 +21,12 @@ pub enum Recovered {
     Lost(Lost),
 }
 
-/// Decodes all intact groups of a damaged stream and, of damaged ones that the index knows, the frames before the
-/// damage; passes frames and losses to `sink`, in order. A group is lost if its record is missing, or if every copy of
-/// a scanner that it needs is damaged or missing. Frames keep their numbers if the index is intact; otherwise the
-/// recovered frames are numbered consecutively. An
-/// undamaged stream is recovered completely. Returns the number of intact files beside the scans that are
-/// left out because only some frames are requested.
+/// Decodes all intact groups of a damaged stream and, of damaged ones that the index knows, the frames before
+/// the damage; passes frames and losses to `sink`, in order. A group is lost if its record is missing, or if
+/// every copy of a scanner that it needs is damaged or missing. Frames keep their numbers if the index is
+/// intact; otherwise the recovered frames are numbered consecutively. An undamaged stream is recovered
+/// completely. Returns the number of intact files beside the scans that are left out because only some frames
+/// are requested.
 ///
 /// # Errors
 /// If the input fails, contains no record at all or has another version of the format, if its index tells

@@ -182,8 +182,8 @@ impl ColumnModel {
         Ok(())
     }
 
-    /// The plan by which values of this type were last coded, if the last ones were neither of another type, constant,
-    /// nor those of another column.
+    /// The plan by which values of this type were last coded, if the last ones were neither of another type,
+    /// constant, nor those of another column.
     pub fn last_plan(&self, scalar: ScalarType) -> Option<Plan> {
         self.last.filter(|(of, _)| *of == scalar).map(|(_, plan)| plan)
     }

@@ -432,8 +432,8 @@ impl ChannelCoder<'_> {
         (shape, plans, compressed)
     }
 
-    /// The best way to code a channel of single values by a palette, and about the number of bytes; `None` if it has
-    /// too many values.
+    /// The best way to code a channel of single values by a palette, and about the number of bytes; `None` if
+    /// it has too many values.
     fn by_palette(&self, sources: &Sources, bytes: &[u8]) -> Option<(Choice, usize)> {
         let [model] = &*self.columns else { return None };
         let Numbered { palette, numbers } = Numbered::of(self.scalar, bytes)?;

@@ -285,7 +285,8 @@ fn cycle(sequence: &[(usize, u32)], rows: usize) -> Option<Vec<usize>> {
     (points_of(&order) >= LEAST).then_some(order)
 }
 
-/// The order of the rows by which of two is first in most rounds. A round ends before the row with the most points.
+/// The order of the rows by which of two is first in most rounds. A round ends before the row with the most
+/// points.
 fn by_rounds(sequence: &[usize], rows: usize) -> Option<Vec<usize>> {
     /// A sufficient number of rounds.
     const ROUNDS: usize = 500;
@@ -322,8 +323,9 @@ fn by_rounds(sequence: &[usize], rows: usize) -> Option<Vec<usize>> {
     Some(order)
 }
 
-/// The order of the rows of a sparse scan, which has few rounds without a gap: `order`, after each row has moved to
-/// where that leaves the fewest firings, until no move leaves fewer (a local search for the linear ordering problem).
+/// The order of the rows of a sparse scan, which has few rounds without a gap: `order`, after each row has
+/// moved to where that leaves the fewest firings, until no move leaves fewer (a local search for the linear
+/// ordering problem).
 fn of_sparse(sequence: &[usize], mut order: Vec<usize>) -> Vec<usize> {
     /// Largest number of times that all rows are moved.
     const PASSES: usize = 20;

@@ -14,9 +14,10 @@ use crate::scanner::{CoordinateGrid, Echo, Projection, REACH, RangeImage, Return
 
 /// Ranges of an exact image are below this, in steps.
 pub(super) const LONGEST: u32 = 1 << 20;
-/// With more cells per point than this, the points are in no order that is worth an image, unless columns have this
-/// many points on average. By chance, they would have two.
+/// With more cells per point than this, the points are in no order that is worth an image, unless columns
+/// have [`ENOUGH_POINTS`] on average.
 const MOST_CELLS: usize = 16;
+/// More than the two points that columns would have by chance.
 const ENOUGH_POINTS: f64 = 2.5;
 
 /// The place of a point in the range image, by the formula.
