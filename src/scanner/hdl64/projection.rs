@@ -33,8 +33,10 @@ impl Hdl64 {
 /// The longest range in a lossless image, in steps; farther points are strays.
 const LONGEST: u32 = (1 << EXACT_RANGE_BITS) - 1;
 
-/// If there are many beams, a column with fewer points costs more than the points do as strays.
+/// If there are many beams, a column with fewer points costs more than the points do as strays, unless columns
+/// have few points on average.
 const FEWEST_IN_COLUMN: u32 = 3;
+const FEW_IN_COLUMN: usize = 12;
 
 /// Projects a scan into a range image (article, IV-A, with the calibrated scanner in place of the ideal one,
 /// so that nothing is lost). Points that deviate from the formula by more than `reach` metres along an axis,
@@ -46,7 +48,11 @@ pub fn project(scanner: &Hdl64, cloud: &PointCloud, reach: f64) -> Projection {
         .iter()
         .filter(|place| place.steps > 0)
         .for_each(|place| in_column[place.column_tick as usize] += 1);
-    let fewest = FEWEST_IN_COLUMN.min(scanner.rows().div_ceil(3) as u32);
+    let used = in_column.iter().filter(|points| **points > 0).count();
+    let found = in_column.iter().sum::<u32>() as usize;
+    // Of a scan that was not moved back, a few points are on the formula by chance.
+    let is_sparse = found < FEW_IN_COLUMN * used && 2 * found > places.len();
+    let fewest = if is_sparse { 1 } else { FEWEST_IN_COLUMN.min(scanner.rows().div_ceil(3) as u32) };
     let columns: Vec<u32> = (0..scanner.ticks).filter(|&c| in_column[c as usize] >= fewest).collect();
     let mut column_of_tick = vec![None; scanner.ticks as usize];
     (0u32..).zip(&columns).for_each(|(column, &tick)| column_of_tick[tick as usize] = Some(column));
