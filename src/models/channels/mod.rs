@@ -352,8 +352,8 @@ impl ChannelCoder<'_> {
                 let [model] = &mut *self.columns else {
                     return Err(Error::corrupt("channels: a palette of several columns"));
                 };
-                let mut numbered =
-                    Numbered::of(self.scalar, bytes).filter(|_| C::ENCODES).unwrap_or_default();
+                let known = if C::ENCODES { Numbered::of(self.scalar, bytes) } else { None };
+                let mut numbered = known.unwrap_or_default();
                 numbered.palette = numbered.palette.code(coder, MOST_ENTRIES)?;
                 numbered.numbers.resize(bytes.len() / self.width * 2, 0);
                 let plan = plans.first().copied().unwrap_or_default();

@@ -33,9 +33,9 @@ impl Hdl64 {
 /// The longest range in a lossless image, in steps; farther points are strays.
 const LONGEST: u32 = (1 << EXACT_RANGE_BITS) - 1;
 
-/// If there are many beams, a column with fewer points costs more than the points do as strays, unless columns
-/// have few points on average.
+/// If there are many beams, a column with fewer points costs more than the points do as strays.
 const FEWEST_IN_COLUMN: u32 = 3;
+/// But not if columns have fewer points than this on average.
 const FEW_IN_COLUMN: usize = 12;
 
 /// Projects a scan into a range image (article, IV-A, with the calibrated scanner in place of the ideal one,
