@@ -9,7 +9,7 @@ use crate::common::firings::{
     velodyne_decoder_vlp_16, vlp_32c, with_echoes,
 };
 use crate::common::formats::kitti;
-use crate::common::scans::{Points, random_points, rounded};
+use crate::common::scans::{Points, Random, random_points, rounded};
 use crate::common::streams::at_level;
 use crate::common::{self, File, round_trip, take_apart};
 use lidarpc::internals::container::{Group, SectionKind};
@@ -480,16 +480,13 @@ fn lasers_that_the_fullest_scan_does_not_show_are_found_in_another() {
 
 #[test]
 fn scans_of_a_tenth_of_their_points_show_the_scanner() {
-    // Chosen at random: about three points of a firing remain.
-    let is_kept = |record: usize, _: &_| {
-        let mixed = (record as u32 ^ record as u32 >> 16).wrapping_mul(0x7FEB_352D);
-        (mixed ^ mixed >> 15).wrapping_mul(0x846C_A68B) >> 16 < 6554
-    };
+    // About three points of a firing remain.
+    let mut random = Random(1);
     for recipe in [Recipe::VelodyneRos, Recipe::DoubleYAhead, Recipe::Pandar64, Recipe::RoboSense] {
         let truth = made_up(recipe);
         let all = points(&truth, &image(&truth, 1));
-        let few: Points =
-            seen_in_part(&all, is_kept).into_iter().filter(|point| *point != [0.0; 4]).collect();
+        let few = all.into_iter().filter(|point| random.below(10) == 0 && *point != [0.0; 4]);
+        let few: Points = few.collect();
         let (found, _) = fit(&[file(&few)]).unwrap_or_else(|| panic!("{recipe:?} is not found"));
         let (exact, inexact, strays) = counts(&found, &few);
         assert!(inexact + strays <= few.len() / 100, "{recipe:?}: {exact}, {inexact}, {strays}");

@@ -4,7 +4,7 @@
 use crate::common;
 use crate::common::formats::kitti;
 use crate::common::scans::{
-    Points, moved, random_points, rows, scans, shuffled, single_precision, unrounded,
+    Points, Random, moved, random_points, rows, scans, shuffled, single_precision, unrounded,
 };
 use lidarpc::internals::files::parse;
 use lidarpc::internals::scan::ScanFile;
@@ -196,6 +196,17 @@ fn parts_of_the_turn() {
         let files: Vec<ScanFile> = sample.iter().map(file).collect();
         assert!(Scanner::fit(&files).is_some_and(|scanner| scanner.hdl64().is_some()));
     }
+}
+
+/// Columns have four points on average, and many have one.
+#[test]
+fn a_tenth_of_the_points() {
+    let mut random = Random(1);
+    let frames = scans(&SynthConfig { thinning: 1, frames: 2, ..config(3) });
+    let mut tenth =
+        |points: &Points| -> Points { points.iter().filter(|_| random.below(10) == 0).copied().collect() };
+    let sample: Vec<Points> = frames.iter().map(&mut tenth).collect();
+    explains(&sample, &sample[1], 0.995);
 }
 
 #[test]

@@ -58,8 +58,9 @@ pub fn recover(
     Ok(groups.left_out)
 }
 
-/// Copies the groups that [`recover`] decodes to a new stream without decoding them; returns the number of
-/// frames. Losses are passed to `on_lost`. Files beside the scans come last, wherever they are.
+/// Copies all groups that [`recover`] finds intact, and the intact parts of others, to a new stream without
+/// decoding them; returns the number of frames. Losses are passed to `on_lost`. Files beside the scans come
+/// last, wherever they are.
 ///
 /// # Errors
 /// Naming the input: if it fails, contains no record at all or has another version of the format. Without a

@@ -111,8 +111,10 @@ impl Scanner {
             return Some(found.clone().into());
         }
         // Along wrong axes, a recipe does not reproduce as many.
-        let turned = (exact < RIGHT_AXES).then(|| Self::with_other_axes(sample, fullest, found.as_ref()));
-        let turned = turned.flatten();
+        let turned = match exact < RIGHT_AXES {
+            true => Self::with_other_axes(sample, fullest, found.as_ref()),
+            false => None,
+        };
         if let Some((turned, _)) = turned.as_ref().filter(|(_, reproduces_most)| *reproduces_most) {
             return Some(turned.clone());
         }

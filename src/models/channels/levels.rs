@@ -67,13 +67,13 @@ impl Palette {
     }
 
     /// The index of a value of the palette.
-    pub fn level_of(&self, value: i64) -> usize {
+    pub fn index_of(&self, value: i64) -> usize {
         self.0.partition_point(|&other| other < value)
     }
 
     /// The value with this index, or the last one.
-    pub fn value_of(&self, level: usize) -> i64 {
-        self.0[level.min(self.0.len() - 1)]
+    pub fn value_of(&self, index: usize) -> i64 {
+        self.0[index.min(self.0.len() - 1)]
     }
 }
 
@@ -106,7 +106,7 @@ impl LevelsModel {
         value: i64,
     ) -> i64 {
         let near = self.near((row, column));
-        let level = palette.level_of(value) as f32;
+        let level = palette.index_of(value) as f32;
         let level = self.model.code(coder, &self.scale, &near, (row, column), level);
         let context = self.scale.context_level(level);
         if row > 0 {

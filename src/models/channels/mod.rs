@@ -542,7 +542,7 @@ impl Numbered {
         }
         let ranks: Vec<i64> = Scale::RANK.grid(scalar).integers(bytes).into_iter().collect::<Option<_>>()?;
         let palette = Palette::of(ranks.iter().copied(), MOST_ENTRIES.min(ranks.len() / FEWEST))?;
-        let numbers = ranks.iter().flat_map(|&rank| (palette.level_of(rank) as u16).to_le_bytes());
+        let numbers = ranks.iter().flat_map(|&rank| (palette.index_of(rank) as u16).to_le_bytes());
         Some(Numbered { numbers: numbers.collect(), palette })
     }
 
