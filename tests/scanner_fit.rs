@@ -198,7 +198,7 @@ fn parts_of_the_turn() {
     }
 }
 
-/// Columns have four points on average, and many have one.
+/// Columns have three or four points on average, and many have one.
 #[test]
 fn a_tenth_of_the_points() {
     let mut random = Random(1);
