@@ -12,6 +12,7 @@ mod arithmetic;
 mod hashed;
 mod layered;
 mod logistic;
+mod network;
 mod tokens;
 
 pub use adaptive::{AdaptiveBit, IntegerModel, code_below_highest};
@@ -19,4 +20,5 @@ pub use arithmetic::{ArithmeticDecoder, ArithmeticEncoder, BitCoder};
 pub use hashed::{Candidates, HashedCounters, LINE_LEVELS, Line, hash, hash_below};
 pub use layered::{LayeredBits, LayeredContext, LayeredMixer, MixContexts, MixRates};
 pub use logistic::{Counter, Logistic, MixedBits};
+pub use network::{Activations, Network, NetworkRates};
 pub use tokens::{Counts, StartTables, TokenCoder, TokenReader, TokenTables, TokenWriter, numbers_of_token};

@@ -13,7 +13,8 @@ pub use scale::IntensityScale;
 pub use tokens::{INTENSITY_CONTEXTS, IntensityTokens};
 
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel};
-use crate::inter::Reference;
+use crate::inter::{Layer, Reference};
+use crate::models::quantise::signed_level;
 
 /// The adaptive models of intensities.
 #[derive(Clone, Default)]
@@ -101,23 +102,42 @@ pub struct IntensityNeighbours {
 /// The context levels of an earlier frame around a return; 0 = none.
 #[derive(Clone, Copy, Debug)]
 pub struct IntensityReference {
-    /// The levels of the same cell and of the cells to its left and right.
-    pub same: [u16; 3],
-    /// The level of the moved surface that is visible here.
-    pub moved: u16,
+    /// The levels of the same cell, of those one to its left, one to its right and two to its right.
+    pub same: [u16; 4],
+    /// The levels of the moved surfaces that are visible here, one to the left, one and two to the right, and
+    /// two to the left.
+    pub moved: [u16; 5],
+    /// How much farther the moved surface is than the one to its left, the same cell, and the one to its
+    /// right: classes of [`signed_level`], 0 if one of the two is missing.
+    pub farther: [usize; 3],
 }
+
+/// The unit of such differences, in steps.
+const FARTHER_UNIT: i32 = 4;
 
 impl IntensityReference {
     /// The levels around a cell; `None` if no earlier frame has a return there.
     pub fn at(reference: &Reference, cell: (usize, usize)) -> Option<Self> {
-        let same = [0, -1, 1].map(|right| reference.same.levels.beside(cell, 0, right));
-        let moved = reference.moved.levels.beside(cell, 0, 0);
-        (same[0] > 0 || moved > 0).then_some(IntensityReference { same, moved })
+        let Reference { same: same_layer, moved: moved_layer } = reference;
+        let level = |layer: &Layer, right| layer.levels.beside(cell, 0, right);
+        let same = [0, -1, 1, 2].map(|right| level(same_layer, right));
+        let moved = [0, -1, 1, 2, -2].map(|right| level(moved_layer, right));
+        if same[0] == 0 && moved[0] == 0 {
+            return None;
+        }
+        let steps = |layer: &Layer, right| layer.steps.beside(cell, 0, right);
+        let here = steps(moved_layer, 0);
+        let others = [steps(moved_layer, -1), steps(same_layer, 0), steps(moved_layer, 1)];
+        let farther = others.map(|other| match (here, other) {
+            (0, _) | (_, 0) => 0,
+            _ => signed_level((here as i32 - other as i32) / FARTHER_UNIT),
+        });
+        Some(IntensityReference { same, moved, farther })
     }
 
     /// The level of the same cell, or else of the moved surface.
     pub fn level(&self) -> u16 {
-        if self.same[0] > 0 { self.same[0] } else { self.moved }
+        if self.same[0] > 0 { self.same[0] } else { self.moved[0] }
     }
 }
 

@@ -187,7 +187,10 @@ impl RangeModel {
                             around: Surroundings::of(reference, back, cell),
                             back: back.clone(),
                         });
-                        let site = DeepSite { site: &site, cell, referred };
+                        let level = |right| known.intensity.beside(cell, 0, right);
+                        let levels_beside = [level(-2), level(1), level(2)];
+                        let residuals = hint.inputs();
+                        let site = DeepSite { site: &site, cell, referred, levels_beside, residuals };
                         deep.code(coder, (&self.shape, self.tables), known.scale, (&site, offset), range)
                     }
                     (None, Some(back), Some(learned)) => {

@@ -2,7 +2,7 @@
 
 from array import array
 from math import exp, log, sqrt
-from operator import add, itemgetter, mul
+from operator import add, itemgetter, mul, truediv
 from struct import pack, unpack
 
 M32 = 0xFFFFFFFF
@@ -355,6 +355,76 @@ class LayeredBits:
         for view, place in cells:
             view[place] = learnt(view[place], bit)
         return bit
+
+
+class Network:
+    """6.7."""
+
+    UNITS = 32
+
+    def __init__(self, sizes, numbers, outputs, row_rate, number_rate, output_rate):
+        units = self.UNITS
+        ends = [numbers]
+        for size in sizes:
+            ends.append(ends[-1] + size)
+        self.firsts = ends[:-1]
+        self.zeros = floats([0.0] * units)
+        # None: all zeros.
+        self.rows = [None] * ends[-1]
+        drawn = 0
+        for first, size in [(0, numbers), *((f, n) for f, n in zip(self.firsts, sizes) if n < 4096)]:
+            for row in range(first, first + size):
+                draws = (hash_of(0, i) >> 8 for i in range(drawn, drawn + units))
+                self.rows[row] = floats([(draw / (1 << 24) - 0.5) * f32(0.1) for draw in draws])
+                drawn += units
+        self.weights = [self.zeros] * outputs
+        self.bias = [0.0] * outputs
+        self.row_rate, self.number_rate, self.output_rate = f32(row_rate), f32(number_rate), f32(output_rate)
+
+    def activate(self, contexts, numbers):
+        self.used = [first + context for first, context in zip(self.firsts, contexts)]
+        self.numbers = numbers
+        sums = self.zeros
+        for row in self.used:
+            weights = self.rows[row]
+            if weights:
+                sums = array("f", map(add, sums, weights))
+        for weights, number in zip(self.rows, numbers):
+            sums = array("f", map(add, sums, array("f", [w * number for w in weights])))
+        self.slope = array("f", [1 + abs(x) for x in sums])
+        self.hidden = array("f", map(truediv, sums, self.slope))
+        self.gradient = self.zeros
+
+    def odds(self, outputs):
+        w, b = self.zeros, 0.0
+        for o in outputs:
+            w = array("f", map(add, w, self.weights[o]))
+            b = f32(b + self.bias[o])
+        self.w = w
+        products = array("f", map(mul, w, self.hidden))
+        lanes = array("f", [b, 0.0, 0.0, 0.0])
+        for k in range(0, self.UNITS, 4):
+            lanes = array("f", map(add, lanes, products[k : k + 4]))
+        return f32(f32(lanes[0] + lanes[1]) + f32(lanes[2] + lanes[3]))
+
+    def learn_bit(self, outputs, odds, bit):
+        error = (65536 * bit - squash(odds)) / 65536
+        by = f32(error * self.output_rate)
+        self.gradient = array("f", map(add, self.gradient, array("f", [error * x for x in self.w])))
+        changes = array("f", [by * x for x in self.hidden])
+        for o in outputs:
+            self.weights[o] = array("f", map(add, self.weights[o], changes))
+            self.bias[o] = f32(self.bias[o] + by)
+
+    def learn(self):
+        squares = array("f", map(mul, self.slope, self.slope))
+        gradient = array("f", map(truediv, self.gradient, squares))
+        change = array("f", [x * self.row_rate for x in gradient])
+        for row in self.used:
+            self.rows[row] = array("f", map(add, self.rows[row] or self.zeros, change))
+        for i, number in enumerate(self.numbers):
+            rate = f32(number * self.number_rate)
+            self.rows[i] = array("f", map(add, self.rows[i], array("f", [rate * x for x in gradient])))
 
 
 # 7 Helpers

@@ -1,11 +1,14 @@
 """Section 8.6 of FORMAT.md: ranges by the arithmetic coder, as `mixed` and `deep` have them."""
 
+from struct import pack, unpack
+
 from models import (
     ErrorShape,
     LayeredBits,
     LeastSquares,
     Levels,
     MixedBits,
+    Network,
     Residuals,
     clamp,
     dot_from,
@@ -246,6 +249,7 @@ class RangeModel:
             self.row = row
             left = [0] * 5
             own_levels = levels[row] + [0] if levels else no_levels
+            self.row_levels = own_levels
             above_levels = levels[row - 1] if levels and row else no_levels
             for column in range(columns):
                 if not image[row][column]:
@@ -410,8 +414,10 @@ class Deep(RangeModel):
         self.scales = Scales(6240, 8)
         self.sets = [Weights(n, 8) for n in (1152, 3072, 6240)]
         self.layered = LayeredBits(
-            3, [64 * n for n in (1024, 1024, 1024, 2048, 1024, 1024, 768, 780)], [6144, 4096, 4160], 64, [768, 4096]
+            4, [64 * n for n in (1024, 1024, 2048, 1024, 1024)], [6144, 4096, 4160], 64, [768, 4096]
         )
+        sizes = [128, 128, 128, 128, 64, 128, 144, 16384, 16384, 16384]
+        self.network = Network(sizes, 40, 10304, 0.025, 0.005, 0.003)
         self.weak = [f32(40 / (i + 2)) for i in range(129)]
 
     def starts_frame(self, columns):
@@ -516,16 +522,44 @@ class Deep(RangeModel):
             (both * 4 + min(own // 8, 3)) * 12 + error_level,
             (known * 8 + kind) * 12 + error_level,
         )
-        views = self.views(base) + [
+        first, second, _, third = self.views(base)
+        views = [
+            first,
+            second,
+            third,
             signed_level(same_base) * 32 + kind * 4 + error_level // 3,
             pair(same_base, moved_base),
-            line * 12 + error_level,
-            known * 12 + error_level,
         ]
         views = [v * 64 for v in views]
         scales = self.scales.of(contexts[2])
         placed = [ErrorShape.place(f32(p + 0.5), s) for p, s in zip(predictions, scales)]
         weights = [weights.of(context) for weights, context in zip(self.sets, contexts)]
+        network = self.network
+        scale = max(scales[3], 1.0)
+        level_at = self.row_levels
+        beside = [level_at[c + o] if 0 <= c + o < len(level_at) else 0 for o in (1, 2, -2)]
+        east, east2, level_west2, own_level, level_west = (min(v, 127) for v in (*beside, own, iw))
+        octaves_of_scale = min((unpack("<I", pack("<f", scale))[0] >> 20) - 1016, 127)
+        pairs = [own_level * 128 + v for v in (line, level_west, east)]
+        unit = f32(1 / scale)
+
+        def within(v):
+            return clamp(f32(f32(v) * unit), -4.0, 4.0) * 0.5
+
+        def relative(v):
+            return within(f32(f32(v) - f32(base)))
+
+        numbers = [within(v) for v in self.residuals.inputs]
+        numbers += [1.0, octaves_of_scale / 32 - 1, within(self.residuals.hinted)]
+        numbers += [within(self.error_west), within(signed_east)]
+        numbers += [relative(v) for v in (west, west2, west3, 2 * west - west2, north, self.neighbours[5])]
+        if seen:
+            ranges = [self.same, self.sw or self.same, self.se or self.same, self.moved, moved_west, moved_east]
+            ranges += [layer(moved, 0, 2, self.moved), layer(moved, 0, 3, self.moved)]
+            numbers += [1.0, *(relative(v) for v in ranges)]
+        else:
+            numbers += [0.0] * 9
+        network.activate([level_west, east, east2, level_west2, line, octaves_of_scale, self.context, *pairs], numbers)
         third = f32(1 / 3)
         bits = self.bits
         layered = self.layered
@@ -534,19 +568,23 @@ class Deep(RangeModel):
             mean = f32(f32(f32(odds[0] + odds[1]) + odds[2]) * third)
             if node is None:
                 return bits.decode(squash(mean)), mean
+            outputs = (node, (1 + kind * 12 + error_level) * 64 + node, (97 + line) * 64 + node)
+            corrected = f32(mean + network.odds(outputs))
             bit = layered.code(
                 bits,
                 [v + node for v in views],
                 ((kind * 64 + node) * 12 + error_level, line * 64 + node, known * 64 + node),
                 node,
                 (node * 12 + error_level, line * 64 + node),
-                odds,
+                [*odds, corrected],
             )
+            network.learn_bit(outputs, corrected, bit)
             return bit, mean
 
         bins = Bins(base, self.bin, self.range_bits)
         coding = Coding(bits, bins, self.range_bits, placed, weights)
         value = coding.run(code, first_bucket(f32(scales[3] / self.bin)), 2)
+        network.learn()
         likelihood = likelihood_of(coding.at_low[0], coding.at_high[0])
         scale_rate = max(RATES[0], self.sets[2].early(contexts[2]))
         for weights, context in zip(self.sets, contexts):

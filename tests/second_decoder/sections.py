@@ -14,6 +14,7 @@ from models import (
     LeastSquares,
     Levels,
     MixedBits,
+    Network,
     clamp,
     f32,
     floats,
@@ -184,7 +185,7 @@ def first_of(*values):
 class Near:
     """What is near a value; a plain record."""
 
-    __slots__ = ("row", "column", "left", "nww", "nw", "n", "ne", "nee", "nnw", "nn", "nne", "s", "sl", "sr", "m")
+    __slots__ = ("row", "column", "left", "nww", "nw", "n", "ne", "nee", "nnw", "nn", "nne", "s", "sl", "sr", "m", "back")
 
 
 def values_of(image, strays, reference, begin, code):
@@ -220,6 +221,7 @@ def values_of(image, strays, reference, begin, code):
                 near.sl, near.sr = same[column - 1] if column else 0, same[column + 1]
             else:
                 near.s = near.m = near.sl = near.sr = 0
+            near.back = reference
             value, level = code(near, begin_row)
             begin_row = False
             values[row][column] = value
@@ -229,6 +231,7 @@ def values_of(image, strays, reference, begin, code):
     of_strays = []
     stray_levels = []
     begin(max((row for row, _, _ in strays), default=0) + 1, 1, len(strays))
+    near.back = None
     near.column = near.s = near.m = near.sl = near.sr = near.nee = near.nne = 0
 
     def before(index):
@@ -367,6 +370,24 @@ class Intensity:
 LEAST = 1 / (1 << 24)
 
 
+def past_of(reference, row, column):
+    """What the network of 8.5 is told of an earlier frame: levels, and differences of range."""
+    same, moved = reference.same, reference.moved
+
+    def at(table, o):
+        return table[row][column + o] if 0 <= column + o < len(table[row]) else 0
+
+    def farther(other):
+        here = at(moved.ranges, 0)
+        if not here or not other:
+            return 0
+        away = here - other
+        return signed_level(abs(away) // 4 * (1 if away > 0 else -1))
+
+    levels = [min(at(moved.levels, o), 127) for o in (-1, 1, 2, -2)] + [min(at(same.levels, o), 127) for o in (-1, 1, 2)]
+    return levels + [farther(v) for v in (at(moved.ranges, -1), at(same.ranges, 0), at(moved.ranges, 1))]
+
+
 class DeepIntensity:
     """8.5 as `deep` has it."""
 
@@ -376,9 +397,10 @@ class DeepIntensity:
         self.off_grid = off_grid
         self.fits = [LeastSquares(16, 0.998) for _ in range(8)]
         self.errors = floats([4.0] * 144)
-        self.zero = MixedBits([1 << 16] * 8, 128, 0.25, 0.0, 0.002)
+        self.zero = MixedBits([1 << 16] * 8, 128, 0.2, 0.3, 0.002)
+        self.network = Network([128] * 17 + [16384] * 4, 1, 33280, 0.03, 0.01, 0.01)
         self.b = 8
-        self.hashed = [HashedCounters(8) for _ in range(10)]
+        self.hashed = [HashedCounters(8) for _ in range(8)]
         self.mixer = LayeredMixer([1024, 9216], [0.15] * 12, 0.0045, 0.0005, 18, [512, 144])
 
     def code(self, bits, scale, image, strays, reference):
@@ -387,7 +409,7 @@ class DeepIntensity:
             b = clamp(1 + ilog2(max(n, 1)), 8, 17)
             if b > self.b:
                 self.b = b
-                self.hashed = [HashedCounters(b) for _ in range(10)]
+                self.hashed = [HashedCounters(b) for _ in range(8)]
 
         def value(near, begins_row):
             if begins_row:
@@ -450,13 +472,23 @@ class DeepIntensity:
             zeros & 0x33 | (s // 2) << 6 | (m // 2) << 13 | (coarse // 2) << 20,
         )
         places = [(x * 0x9E3779B1 & 0xFFFFFFFF) >> 16 for x in contexts]
-        if self.zero.code(bits, zeros % 64 + 64 * back, places):
+        past = past_of(near.back, near.row, near.column) if back else [0] * 10
+        lw, lw2, lw3, lw4, ln, ls, lm = (
+            min(v, 127) for v in (west, west2, west3, first_of(left[3], west3), north, s, m)
+        )
+        network = self.network
+        pairs = [lw * 128 + lw2, lw2 * 128 + lw3, lw * 128 + ls, r * 128 + lw]
+        network.activate([lw, lw2, lw3, lw4, r, lm, *past, ln, *pairs], [1.0])
+        gate = (1 + lw // 2) * 512
+        other = network.odds((0, gate))
+        zero = self.zero.code(bits, zeros % 64 + 64 * back, places, other)
+        network.learn_bit((0, gate), other, zero)
+        if zero:
+            network.learn()
             return 0
         away = signed_level(int(f32(prediction - base)))
         contexts = (
             west // 2 | (west2 // 2) << 8,
-            west // 2 | (north // 2) << 8,
-            m | coarse << 8 | (s // 4) << 16,
             r | (west // 4) << 7 | (west2 // 4) << 15 | (west3 // 4) << 23,
             r | west << 7 | away << 15,
             west | west3 << 8,
@@ -485,7 +517,9 @@ class DeepIntensity:
             opinions = [STRETCH[x >> 4] * BELIEF[x & 15] for x in cells]
             upper, lower = [f32(max(f32(p), 0.0) + LEAST) for p in (high_p - middle_p, middle_p - low_p)]
             opinions.append(odds_of(upper, lower))
-            opinions.append(0.25)
+            outputs = (node, gate + node)
+            odds = network.odds(outputs)
+            opinions += [odds, 0.25, 0.0]
             bit = self.mixer.code(
                 bits,
                 (node + 512 * back, pair * 9 + i),
@@ -495,12 +529,14 @@ class DeepIntensity:
             )
             for line, x in zip(lines, cells):
                 line[place] = learnt_small(x, bit)
+            network.learn_bit(outputs, odds, bit)
             if bit:
                 low, low_p = middle, middle_p
             else:
                 high, high_p = middle, middle_p
             node = node * 2 + bit
             place = place * 2 + bit
+        network.learn()
         level = node - (1 << n_bits)
         if level:
             own = scale.of_level(level)

@@ -1,5 +1,5 @@
-//! Intensity levels, coded from many views of their surroundings, with hashed lines of counters, and a
-//! least-squares fit, mixed in two layers. FORMAT.md 8.5, "Levels, if `coder` is 1".
+//! Intensity levels, coded from many views of their surroundings, with hashed lines of counters, a
+//! least-squares fit and a neural network, mixed in two layers. FORMAT.md 8.5, "Levels, if `coder` is 1".
 //!
 //! Beams respond differently: some never give a level that another beam often gives, and the same surface may
 //! get one of several levels, as the laser's power varies. Views of exact levels together with the beam learn
@@ -9,22 +9,24 @@
 //! surface's possible levels.
 //!
 //! After the model come the levels around a return, with gaps filled from their neighbours, the views of
-//! them, each of which selects a context, the fit with its reliability, and the model of zeros.
+//! them, each of which selects a context, the network with its inputs, the fit with its reliability, and the
+//! model of zeros.
 
 use std::ops::RangeInclusive;
 
 use super::scale::{IntensityScale, MOST_BITS};
-use super::{IntensityNeighbours, MeanErrors, TYPICAL_LEVEL};
+use super::{IntensityNeighbours, IntensityReference, MeanErrors, TYPICAL_LEVEL};
 use crate::entropy::{
-    BitCoder, Candidates, HashedCounters, LINE_LEVELS, LayeredMixer, Logistic, MixContexts, MixRates,
-    MixedBits, hash, hash_below,
+    Activations, BitCoder, Candidates, HashedCounters, LINE_LEVELS, LayeredMixer, Logistic, MixContexts,
+    MixRates, MixedBits, Network, NetworkRates, hash, hash_below,
 };
 use crate::ground::lanes::lanes;
 use crate::models::least_squares::BatchedLeastSquares;
 use crate::models::quantise::{Levels, signed_level};
 use crate::models::shape::{ErrorShape, Placed};
 
-/// The number of opinions: those of the views, that of the fit, and a constant one.
+/// The number of opinions, rounded up: those of the views, of the fit, and of the network, and a constant
+/// one.
 const OPINIONS: usize = 12;
 const CONSTANT: f32 = 0.25;
 /// Binary logarithm of the number of 32-byte lines for each view: about twice as many lines as a frame has
@@ -44,6 +46,7 @@ const BITS: usize = MOST_BITS as usize;
 pub struct DeepLevels {
     zero: ZeroModel,
     fit: Fit,
+    network: LevelNetwork,
     counters: [HashedCounters; VIEWS],
     mixer: LayeredMixer<OPINIONS, 2>,
     levels: Levels<{ ERROR_LEVELS - 1 }>,
@@ -61,6 +64,7 @@ impl Default for DeepLevels {
         DeepLevels {
             zero: ZeroModel::default(),
             fit: Fit::new(ERROR_LEVELS * ERROR_LEVELS),
+            network: Network::new(NETWORK_TABLES, (1 + GATES) * NODES, NETWORK_RATES),
             counters: std::array::from_fn(|_| HashedCounters::new(*INDEX_BITS.start())),
             mixer: LayeredMixer::new(counts, [0.15; OPINIONS], RATES),
             levels: Levels::new(0.7, 1.45),
@@ -100,7 +104,12 @@ impl DeepLevels {
         // The processor loads the lines while the zero is coded.
         let hashes = view_hashes(&around, (row, column), prediction);
         let first = self.candidates(&hashes, 1);
-        if self.zero.code(coder, &around, (row, column), prediction, level == 0) {
+        let mut judgement = Judgement::new(&self.network, &around, row);
+        let odds = judgement.odds(&self.network, 0);
+        let is_zero = self.zero.code(coder, &around, (row, column), prediction, odds, level == 0);
+        judgement.learn_bit(&mut self.network, 0, odds, is_zero);
+        if is_zero {
+            self.network.learn(&judgement.activations);
             return 0;
         }
         let [expected, gradient] =
@@ -112,7 +121,8 @@ impl DeepLevels {
             uncertainty: expected * ERROR_LEVELS + gradient,
         };
         let opinion = self.fit.opinion(prediction, site.uncertainty, scale);
-        let level = self.code_bits(coder, scale.bits(), &site, first, opinion, level);
+        let level = self.code_bits(coder, scale.bits(), &site, first, (opinion, &mut judgement), level);
+        self.network.learn(&judgement.activations);
         if level > 0 {
             let own = f32::from(scale.context_of(level));
             self.fit.learn(&around, prediction, site.uncertainty, own);
@@ -134,7 +144,7 @@ impl DeepLevels {
         bits: u32,
         site: &Site,
         mut candidates: [Candidates; VIEWS],
-        mut fit: FitOpinion,
+        (mut fit, judgement): (FitOpinion, &mut Judgement),
         level: u32,
     ) -> u32 {
         let mut node = 1usize;
@@ -149,14 +159,18 @@ impl DeepLevels {
             let mut place = 1;
             for _ in 0..left.min(LINE_LEVELS) {
                 left -= 1;
-                let mut opinions = [CONSTANT; OPINIONS];
+                let mut opinions = [0.0; OPINIONS];
                 for (opinion, line) in opinions.iter_mut().zip(&lines) {
                     *opinion = line.opinion(self.tables, place);
                 }
                 opinions[VIEWS] = fit.of_upper_half(self.fit.shape(), self.tables);
+                let odds = judgement.odds(&self.network, node);
+                opinions[VIEWS + 1] = odds;
+                opinions[VIEWS + 2] = CONSTANT;
                 let bit = level >> left & 1 == 1;
                 let bit = self.mixer.code(coder, &site.mix_contexts(node, left), &opinions, bit);
                 lines.iter_mut().for_each(|line| line.learn(place, bit));
+                judgement.learn_bit(&mut self.network, node, odds, bit);
                 fit.narrow(bit);
                 node = node << 1 | usize::from(bit);
                 place = place << 1 | usize::from(bit);
@@ -200,14 +214,17 @@ const CONSTANT_FEATURE: f32 = 4.0;
 /// Context levels around a return.
 #[derive(Clone, Copy, Debug)]
 struct Surroundings {
-    /// The last three levels of the row, nearest first, and the one above; none of them is 0.
+    /// The last four levels of the row, nearest first, and the one above; none of them is missing.
     west: u16,
     west2: u16,
     west3: u16,
+    west4: u16,
     north: u16,
     /// The level of the same cell in an earlier frame, and that of its moved surface; 0 = none.
     same: u16,
     moved: u16,
+    /// The levels of the earlier frame, if it has a return here.
+    back: Option<IntensityReference>,
     /// One bit for each neighbour, set if its level is [`ZERO`].
     zeros: usize,
     /// The base of the features: the best neighbour that is neither missing nor 0.
@@ -229,8 +246,8 @@ impl Surroundings {
         let [w, ww, www, wwww] = near.left;
         let [nww, nw, n, ne, nee] = near.above;
         let [nnw, nn, nne] = near.above2;
-        let ([same, same_west, same_east], moved) =
-            near.back.map_or(([0; 3], 0), |back| (back.same, back.moved));
+        let ([same, same_west, same_east, _], moved) =
+            near.back.map_or(([0; 4], 0), |back| (back.same, back.moved[0]));
         let zeros = [w, n, ne, nw, same, moved, ww, nn, www, nee, same_east, same_west];
         let zeros = zeros.iter().enumerate().fold(0, |bits, (i, l)| bits | usize::from(*l == ZERO) << i);
         let west = or(w, or(n, or(nw, or(ne, TYPICAL_LEVEL))));
@@ -239,9 +256,11 @@ impl Surroundings {
             west,
             west2,
             west3: or(www, west2),
+            west4: or(wwww, or(www, west2)),
             north: or(n, or(ne, or(nw, west))),
             same,
             moved,
+            back: near.back,
             zeros,
             base: 0,
             features: [0.0; FEATURES],
@@ -309,7 +328,7 @@ impl Surroundings {
 }
 
 /// Number of views.
-const VIEWS: usize = 10;
+const VIEWS: usize = 8;
 /// Rows from this number on share their contexts.
 const ROW_CONTEXTS: usize = 128;
 /// Columns of a sector, whose counters carry over from frame to frame.
@@ -319,17 +338,13 @@ const NARROW_SECTOR: usize = 32;
 /// The hash of each view's context.
 fn view_hashes(around: &Surroundings, (row, column): (usize, usize), prediction: f32) -> [u32; VIEWS] {
     let row = row.min(ROW_CONTEXTS - 1) as u32;
-    let Surroundings { west, west2, west3, north, same, moved, .. } = *around;
-    let [w, w2, w3, n, same, moved] = [west, west2, west3, north, same, moved].map(u32::from);
+    let Surroundings { west, west2, west3, same, moved, .. } = *around;
+    let [w, w2, w3, same, moved] = [west, west2, west3, same, moved].map(u32::from);
     let (wide, narrow) = ((column / WIDE_SECTOR) as u32, (column / NARROW_SECTOR) as u32);
     let change = signed_level((prediction - around.base()) as i32) as u32;
-    // In steps of 1.6 levels.
-    let coarse = (prediction * 0.625) as u32;
     // Fields of eight bits, the beam in seven.
     let contexts = [
         w / 2 | (w2 / 2) << 8,
-        w / 2 | (n / 2) << 8,
-        moved | coarse << 8 | (same / 4) << 16,
         row | (w / 4) << 7 | (w2 / 4) << 15 | (w3 / 4) << 23,
         row | w << 7 | change << 15,
         w | w3 << 8,
@@ -339,6 +354,94 @@ fn view_hashes(around: &Surroundings, (row, column): (usize, usize), prediction:
         row | (w / 4) << 7 | narrow << 15,
     ];
     std::array::from_fn(|view| hash(view, contexts[view]))
+}
+
+/// Number of rows of a table of the network that a context level selects, or the beam; and of one that a pair
+/// of these selects.
+const SINGLE: usize = 128;
+const PAIR: usize = SINGLE * SINGLE;
+/// The network's tables: those of single values, then those of pairs.
+const SINGLES: usize = 17;
+const PAIRED: usize = 4;
+const NETWORK_TABLES: [usize; SINGLES + PAIRED] = {
+    let mut sizes = [SINGLE; SINGLES + PAIRED];
+    let mut table = SINGLES;
+    while table < sizes.len() {
+        sizes[table] = PAIR;
+        table += 1;
+    }
+    sizes
+};
+const NETWORK_RATES: NetworkRates = NetworkRates { rows: 0.03, numbers: 0.01, outputs: 0.01 };
+/// Besides an output for each node, there is one for each node and every two levels of the left neighbour.
+const GATES: usize = SINGLE / 2;
+
+type LevelNetwork = Network<{ SINGLES + PAIRED }, 1, 2>;
+
+/// The network's view of one intensity.
+struct Judgement {
+    activations: Activations<{ SINGLES + PAIRED }, 1>,
+    gate: usize,
+}
+
+impl Judgement {
+    fn new(network: &LevelNetwork, around: &Surroundings, row: usize) -> Self {
+        let single = |level: u16| usize::from(level).min(SINGLE - 1);
+        let row = row.min(SINGLE - 1);
+        let Surroundings { west, west2, west3, west4, same, moved, back, .. } = *around;
+        let [w, w2, w3, w4, same, moved] = [west, west2, west3, west4, same, moved].map(single);
+        let (
+            [_, same_west, same_east, same_east2],
+            [_, moved_west, moved_east, moved_east2, moved_west2],
+            farther,
+        ) = back.map_or_else(Default::default, |back| {
+            (back.same.map(single), back.moved.map(single), back.farther)
+        });
+        let pair = |a: usize, b: usize| a * SINGLE + b;
+        let contexts = [
+            w,
+            w2,
+            w3,
+            w4,
+            row,
+            moved,
+            moved_west,
+            moved_east,
+            moved_east2,
+            moved_west2,
+            same_west,
+            same_east,
+            same_east2,
+            farther[0],
+            farther[1],
+            farther[2],
+            single(around.north),
+            pair(w, w2),
+            pair(w2, w3),
+            pair(w, same),
+            pair(row, w),
+        ];
+        Judgement { activations: network.activate(&contexts, &[1.0]), gate: (w / 2).min(GATES - 1) }
+    }
+
+    /// The outputs at a node; 0 is for whether the level is 0.
+    fn outputs(&self, node: usize) -> [usize; 2] {
+        [node, (1 + self.gate) * NODES + node]
+    }
+
+    /// The log odds of a 1 at a node.
+    #[inline]
+    fn odds(&mut self, network: &LevelNetwork, node: usize) -> f32 {
+        let outputs = self.outputs(node);
+        network.odds(&mut self.activations, outputs)
+    }
+
+    /// Learns from the bit at a node.
+    #[inline]
+    fn learn_bit(&mut self, network: &mut LevelNetwork, node: usize, odds: f32, bit: bool) {
+        let outputs = self.outputs(node);
+        network.learn_bit(&mut self.activations, outputs, odds, bit);
+    }
 }
 
 /// Fits: one for each combination of whether there is a neighbour to the left, one above, and one in an
@@ -449,18 +552,20 @@ struct ZeroModel {
 
 impl Default for ZeroModel {
     fn default() -> Self {
-        ZeroModel { bits: MixedBits::new([1 << ZERO_SLOT_BITS; ZERO_VIEWS], ZERO_SETS, 0.25, 0.0, 0.002) }
+        ZeroModel { bits: MixedBits::new([1 << ZERO_SLOT_BITS; ZERO_VIEWS], ZERO_SETS, 0.2, 0.3, 0.002) }
     }
 }
 
 impl ZeroModel {
-    /// Codes whether a level is 0. `prediction` is the predicted level if it is not.
+    /// Codes whether a level is 0. `prediction` is the predicted level if it is not; `other` is an external
+    /// opinion, as log odds.
     fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
         around: &Surroundings,
         (row, column): (usize, usize),
         prediction: f32,
+        other: f32,
         is_zero: bool,
     ) -> bool {
         let row = row.min(ROW_CONTEXTS - 1);
@@ -480,7 +585,7 @@ impl ZeroModel {
         ];
         let places = contexts.map(zero_slot);
         let set = zeros & 0x3f | usize::from(around.has_reference()) << 6;
-        self.bits.code(coder, set, &places, 0.0, is_zero)
+        self.bits.code(coder, set, &places, other, is_zero)
     }
 }
 

@@ -1,21 +1,26 @@
 //! The deep model of ranges: more least-squares fits, among them one for each stretch of columns; several
-//! sets of weights for the same predictors, each with its own contexts; and mixing in two layers. FORMAT.md
+//! sets of weights for the same predictors, each with its own contexts; a neural network that corrects their
+//! mean; and mixing in two layers. FORMAT.md
 //! 8.6, "deep".
 //!
 //! Cells with and without a reference are treated alike: the reference, if there is one, contributes
 //! contexts.
 //!
 //! After the model come the fits, and the one that blends their predictions; a cell's predictions and
-//! contexts; and halving under a mixture with several sets of weights.
+//! contexts; the inputs of the
+//! network; and halving under a mixture with several sets of weights.
 
 use super::halving::{Bins, Halves, RangeScale, code_bin, first_bucket};
 use super::mixture::{Interval, Mixture, Predicted, Rates};
+use super::residuals::INPUTS;
 use super::site::{Back, SURROUNDING_FEATURES, Site, Surroundings, intensity_change, pair};
 use super::{
     ACTIVITY_LEVELS, ALL_FEATURES, CONTEXTS, Coded, EDGES, ERROR_LEVELS, FEATURE_REACH, FEATURES,
     LONG_MEMORY, NODES, REFERENCE_FEATURES, REFERENCE_LEVELS, first_scale, within_reach,
 };
-use crate::entropy::{BitCoder, LayeredBits, LayeredContext, Logistic, MixContexts};
+use crate::entropy::{
+    Activations, BitCoder, LayeredBits, LayeredContext, Logistic, MixContexts, Network, NetworkRates,
+};
 use crate::models::least_squares::BatchedLeastSquares;
 use crate::models::quantise::signed_level;
 use crate::models::shape::ErrorShape;
@@ -24,7 +29,7 @@ use crate::models::shape::ErrorShape;
 const PREDICTORS: usize = 8;
 /// Numbers of weight sets of the mixture, of views, of opinions and of mixers.
 const SETS: usize = 3;
-const VIEWS: usize = 8;
+const VIEWS: usize = 5;
 const OPINIONS: usize = 12;
 const MIXERS: usize = 3;
 /// Rows with their own contexts; those below share the contexts of the last one.
@@ -40,16 +45,7 @@ const OWN_LEVELS: usize = 4;
 
 const RATES: Rates = Rates { weights: 0.03, scales: 0.02, early: 0.3 };
 const SIZES: LayeredContext<VIEWS, MIXERS> = LayeredContext {
-    views: [
-        1024 * NODES,
-        1024 * NODES,
-        128 * 8 * NODES,
-        CHANGES * OWN_LEVELS * 8 * NODES,
-        1024 * NODES,
-        1024 * NODES,
-        ROWS * ERROR_LEVELS * NODES,
-        RECOGNITIONS * ERROR_LEVELS * NODES,
-    ],
+    views: [1024 * NODES, 1024 * NODES, CHANGES * OWN_LEVELS * 8 * NODES, 1024 * NODES, 1024 * NODES],
     mixer: MixContexts {
         sets: [KINDS * NODES * ERROR_LEVELS, ROWS * NODES, RECOGNITIONS * NODES],
         last: NODES,
@@ -57,7 +53,10 @@ const SIZES: LayeredContext<VIEWS, MIXERS> = LayeredContext {
     },
 };
 
-type DeepBits = LayeredBits<SETS, VIEWS, OPINIONS, MIXERS>;
+/// The opinions of the sets of weights, and of the network.
+const OTHERS: usize = SETS + 1;
+
+type DeepBits = LayeredBits<OTHERS, VIEWS, OPINIONS, MIXERS>;
 
 /// The adaptive models of ranges.
 #[derive(Clone)]
@@ -65,6 +64,7 @@ pub struct DeepModel {
     fits: Fits,
     mixture: Mixture<PREDICTORS, SETS>,
     bits: DeepBits,
+    network: RangeNetwork,
     /// Whether any frame so far had a reference.
     had_reference: bool,
 }
@@ -80,6 +80,7 @@ impl Default for DeepModel {
             fits: Fits::default(),
             mixture: Mixture::new(RATES, contexts, first_scale),
             bits: LayeredBits::new(&SIZES),
+            network: Network::new(NETWORK_TABLES, (1 + GATES) * NODES, NETWORK_RATES),
             had_reference: false,
         }
     }
@@ -110,13 +111,16 @@ impl DeepModel {
         (deep_site, hint): (&DeepSite, f64),
         range: i64,
     ) -> Coded {
-        let DeepSite { site, cell: (_, column), referred } = deep_site;
+        let DeepSite { site, cell: (_, column), referred, .. } = deep_site;
         let fitted = self.fits.predict(site, *column, referred.as_ref(), hint);
         let base = site.base(fitted.hinted, scale.bits);
         let bins = scale.bins_around(base);
         let contexts = SetContexts::of(deep_site);
         let values = deep_site.predictions(&fitted);
         let predicted = self.mixture.place(shape, values, deep_site.mixture_contexts(&contexts));
+        let scale_of_fit = self.mixture.scale_of_fit(&predicted);
+        let activations =
+            deep_site.activate(&self.network, contexts.row, (base as f32, scale_of_fit), hint as f32);
         let mut halving = DeepHalving {
             coder,
             shape,
@@ -127,14 +131,16 @@ impl DeepModel {
             predicted: &predicted,
             interval: Interval::whole(bins.all(scale.bits)),
             bits: &mut self.bits,
+            network: &mut self.network,
+            activations,
             views: deep_site.views(&contexts, &fitted, base as f64),
             contexts,
             bin: bins.of(range),
             odds: 0.0,
         };
-        let scale_of_fit = self.mixture.scale_of_fit(&predicted);
         code_bin(&mut halving, bins.central, first_bucket(scale_of_fit / bins.width as f32));
-        let DeepHalving { interval, .. } = halving;
+        let DeepHalving { interval, activations, .. } = halving;
+        self.network.learn(&activations);
         let range = bins.middle(interval.low, scale.bits);
         self.mixture.learn(&predicted, &interval, range as f32);
         self.fits.learn(site, &fitted, range as f64);
@@ -310,6 +316,10 @@ pub struct DeepSite<'a> {
     pub site: &'a Site,
     pub cell: (usize, usize),
     pub referred: Option<Referred>,
+    /// The intensities two to the left, one to the right and two to the right; 0 = no return.
+    pub levels_beside: [u16; 3],
+    /// The residuals around the cell, in steps.
+    pub residuals: &'a [f32],
 }
 
 /// The contexts that select the weights of the mixers and the maps that refine their result.
@@ -326,7 +336,7 @@ pub struct SetContexts {
 
 impl SetContexts {
     /// The contexts of a cell.
-    pub fn of(DeepSite { site, cell, referred }: &DeepSite) -> Self {
+    pub fn of(DeepSite { site, cell, referred, .. }: &DeepSite) -> Self {
         let (kind, recognition) = referred.as_ref().map_or((0, 0), |Referred { back, around }| {
             let change = |level| intensity_change(site.intensities[0], level);
             (1 + back.level, 1 + change(around.same_level) * 8 + change(around.moved_level))
@@ -344,6 +354,99 @@ impl SetContexts {
             self.recognition * NODES + node,
         ]
     }
+
+    /// The outputs of the network at a node.
+    #[inline]
+    fn outputs(&self, node: usize) -> [usize; 3] {
+        let gates = [0, 1 + self.kind * ERROR_LEVELS + self.error_level, 1 + KINDS * ERROR_LEVELS + self.row];
+        gates.map(|gate| gate * NODES + node)
+    }
+}
+
+/// Number of rows of a table of the network that the context level of an intensity selects; and of one that
+/// the cell's own level selects together with another one, or with the row of the image.
+const SINGLE: usize = 128;
+const PAIR: usize = SINGLE * SINGLE;
+/// Classes of the scale: eight an octave.
+const SCALES: usize = 128;
+/// The network's tables and numbers, and the number of outputs for each node besides the first: those by kind
+/// of reference and class of error, and those by row.
+const TABLES: usize = 10;
+const NETWORK_TABLES: [usize; TABLES] =
+    [SINGLE, SINGLE, SINGLE, SINGLE, ROWS, SCALES, CONTEXTS, PAIR, PAIR, PAIR];
+const NUMBERS: usize = INPUTS + 20;
+const GATES: usize = KINDS * ERROR_LEVELS + ROWS;
+const NETWORK_RATES: NetworkRates = NetworkRates { rows: 0.025, numbers: 0.005, outputs: 0.003 };
+/// Numbers are limited to this many scales.
+const MOST_SCALES: f32 = 4.0;
+
+type RangeNetwork = Network<TABLES, NUMBERS, 3>;
+
+impl DeepSite<'_> {
+    /// The network's hidden layer for a cell in this row. Numbers are in units of twice the scale of the fit
+    /// and, for ranges, relative to the base of the coding; `hint` is the offset from the surrounding
+    /// residuals. All are in steps.
+    fn activate(
+        &self,
+        network: &RangeNetwork,
+        row: usize,
+        (base, scale): (f32, f32),
+        hint: f32,
+    ) -> Activations<TABLES, NUMBERS> {
+        let single = |level: u16| usize::from(level).min(SINGLE - 1);
+        let Site { near, intensities, context, errors, .. } = self.site;
+        let [own, west, _] = intensities.map(single);
+        let [west2, east, east2] = self.levels_beside.map(single);
+        let scale = scale.max(1.0);
+        let octaves = scale_class(scale);
+        let pair = |other: usize| own * SINGLE + other;
+        let contexts = [west, east, east2, west2, row, octaves, *context, pair(row), pair(west), pair(east)];
+
+        let unit = 1.0 / scale;
+        let in_scales = |steps: f32| (steps * unit).clamp(-MOST_SCALES, MOST_SCALES) * 0.5;
+        let relative = |range: f64| in_scales(range as f32 - base);
+        let line = 2.0 * near.west - near.west2;
+        let mut numbers = [0.0; NUMBERS];
+        let (residuals, others) = numbers.split_at_mut(INPUTS);
+        for (number, residual) in residuals.iter_mut().zip(self.residuals) {
+            *number = in_scales(*residual);
+        }
+        let (always, referred) = others.split_at_mut(11);
+        always.copy_from_slice(&[
+            1.0,
+            octaves as f32 / 32.0 - 1.0,
+            in_scales(hint),
+            in_scales(errors[0] as f32),
+            in_scales(errors[2] as f32),
+            relative(near.west),
+            relative(near.west2),
+            relative(near.west3),
+            relative(line),
+            relative(near.north),
+            relative(near.north_east),
+        ]);
+        if let Some(Referred { back, around }) = &self.referred {
+            referred.copy_from_slice(&[
+                1.0,
+                relative(back.same),
+                relative(back.same_west),
+                relative(back.same_east),
+                relative(back.moved),
+                relative(around.moved_west),
+                relative(around.moved_east),
+                relative(around.moved_east2),
+                relative(around.moved_east3),
+            ]);
+        }
+        network.activate(&contexts, &numbers)
+    }
+}
+
+/// The class of a scale of at least one step: eight an octave.
+fn scale_class(scale: f32) -> usize {
+    // The exponent and the highest three bits of the mantissa.
+    let class = (scale.to_bits() >> 20) - (1.0f32.to_bits() >> 20);
+    (class as usize).min(SCALES - 1)
 }
 
 impl DeepSite<'_> {
@@ -372,9 +475,9 @@ impl DeepSite<'_> {
 
     /// The context of each view for this base.
     pub fn views(&self, contexts: &SetContexts, fitted: &Fitted, base: f64) -> [usize; VIEWS] {
-        let SetContexts { kind, error_level, row, recognition, .. } = *contexts;
+        let SetContexts { kind, error_level, .. } = *contexts;
         let near = &self.site.near;
-        let [_, errors, own, change] = self.site.views;
+        let [_, errors, _, change] = self.site.views;
         let wide = near.west + fitted.wide;
         let [same, moved] = self
             .referred
@@ -384,12 +487,9 @@ impl DeepSite<'_> {
         [
             pair(near.west - base, near.north - base),
             errors,
-            own,
             change,
             signed_level(same as i32) * 32 + kind * 4 + error_level / 3,
             pair(same, moved),
-            row * ERROR_LEVELS + error_level,
-            recognition * ERROR_LEVELS + error_level,
         ]
     }
 }
@@ -411,6 +511,8 @@ struct DeepHalving<'a, C> {
     /// The remaining bins.
     interval: Interval<PREDICTORS, SETS>,
     bits: &'a mut DeepBits,
+    network: &'a mut RangeNetwork,
+    activations: Activations<TABLES, NUMBERS>,
     views: [usize; VIEWS],
     contexts: SetContexts,
     /// The encoder's bin.
@@ -446,7 +548,12 @@ impl<C: BitCoder> Halves for DeepHalving<'_, C> {
                         refinements: [node * ERROR_LEVELS + error_level, row * NODES + node],
                     },
                 };
-                self.bits.code(self.coder, &context, &odds, bit)
+                let outputs = self.contexts.outputs(node);
+                let corrected = self.odds + self.network.odds(&mut self.activations, outputs);
+                let [first, second, third] = odds;
+                let bit = self.bits.code(self.coder, &context, &[first, second, third, corrected], bit);
+                self.network.learn_bit(&mut self.activations, outputs, corrected, bit);
+                bit
             }
         };
         self.interval.cut(bit, middle, &below_middle);

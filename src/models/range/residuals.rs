@@ -44,7 +44,9 @@ pub struct Residuals {
 }
 
 /// One number for each input of the filter: the residuals to the left, the farthest first, then those above.
-type Inputs = [[f32; LANES]; (LEFT + ABOVE) / LANES];
+type Inputs = [[f32; LANES]; INPUTS / LANES];
+/// Number of inputs of the filter.
+pub const INPUTS: usize = LEFT + ABOVE;
 
 impl Default for Residuals {
     fn default() -> Self {
@@ -125,6 +127,13 @@ pub struct Hint {
     pub offset: f32,
     inputs: Inputs,
     classes: Classes,
+}
+
+impl Hint {
+    /// The residuals around the cell, in steps: those to the left, the farthest first, then those above.
+    pub fn inputs(&self) -> &[f32] {
+        self.inputs.as_flattened()
+    }
 }
 
 impl Residuals {

@@ -185,7 +185,7 @@ impl Window {
 pub struct Neighbourhood {
     pub west: f64,
     pub west2: f64,
-    west3: f64,
+    pub west3: f64,
     west4: f64,
     pub north: f64,
     north_west: f64,
@@ -315,8 +315,8 @@ pub struct Back {
     /// The range in the layer of the same cells, or else in the moved layer; for `moved` it is the reverse.
     pub same: f64,
     pub moved: f64,
-    same_west: f64,
-    same_east: f64,
+    pub same_west: f64,
+    pub same_east: f64,
     /// The recent error of the reference around here, in octaves.
     pub level: usize,
 }
@@ -346,6 +346,8 @@ impl Back {
 pub struct Surroundings {
     pub moved_west: f64,
     pub moved_east: f64,
+    pub moved_east2: f64,
+    pub moved_east3: f64,
     pub moved_north: f64,
     moved_south: f64,
     same_north: f64,
@@ -366,6 +368,8 @@ impl Surroundings {
         Surroundings {
             moved_west: moved(0, -1),
             moved_east: moved(0, 1),
+            moved_east2: moved(0, 2),
+            moved_east3: moved(0, 3),
             moved_north: moved(-1, 0),
             moved_south: moved(1, 0),
             same_north: same(-1),
