@@ -10,8 +10,14 @@ use crate::ground::lanes::{dispatch, lanes, sum_of_products};
 
 /// Number of hidden units.
 const UNITS: usize = 32;
-/// One number for each hidden unit.
-type Units = [f32; UNITS];
+/// One number for each hidden unit. Aligned so that a vector does not cross two cache lines.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+struct Units([f32; UNITS]);
+
+impl Units {
+    const ZERO: Self = Units([0.0; UNITS]);
+}
 
 /// The range of the initial weights of small tables and of numbers, around 0.
 const FIRST_RANGE: f32 = 0.1;
@@ -43,10 +49,14 @@ pub struct NetworkRates {
 }
 
 /// The weights of one output.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 struct Output {
     weights: Units,
     bias: f32,
+}
+
+impl Output {
+    const ZERO: Self = Output { weights: Units::ZERO, bias: 0.0 };
 }
 
 /// The hidden layer for a symbol that is being coded.
@@ -68,23 +78,23 @@ impl<const T: usize, const D: usize, const O: usize> Network<T, D, O> {
     pub fn new(sizes: [usize; T], outputs: usize, rates: NetworkRates) -> Self {
         let mut drawn = 0;
         let mut first = || -> Units {
-            std::array::from_fn(|_| {
+            Units(std::array::from_fn(|_| {
                 drawn += 1;
                 let draw = hash(0, drawn - 1) >> 8;
                 (draw as f32 / (1 << 24) as f32 - 0.5) * FIRST_RANGE
-            })
+            }))
         };
         let mut end = D;
         let tables = sizes.map(|size| {
             end += size;
             end - size
         });
-        let mut rows = vec![Units::default(); end];
+        let mut rows = vec![Units::ZERO; end];
         rows[..D].iter_mut().for_each(|row| *row = first());
         for (start, size) in tables.into_iter().zip(sizes).filter(|(_, size)| *size < LARGE) {
             rows[start..start + size].iter_mut().for_each(|row| *row = first());
         }
-        let outputs = vec![Output::default(); outputs];
+        let outputs = vec![Output::ZERO; outputs];
         Network { rows, tables, outputs, rates, logistic: Logistic::tables() }
     }
 
@@ -98,16 +108,16 @@ impl<const T: usize, const D: usize, const O: usize> Network<T, D, O> {
     /// The log odds of a 1, by the sum of these outputs.
     #[inline]
     pub fn odds(&self, activations: &mut Activations<T, D>, outputs: [usize; O]) -> f32 {
-        let mut sum = Output::default();
+        let mut sum = Output::ZERO;
         for output in outputs {
             let Output { weights, bias } = &self.outputs[output];
             for unit in 0..UNITS {
-                sum.weights[unit] += weights[unit];
+                sum.weights.0[unit] += weights.0[unit];
             }
             sum.bias += bias;
         }
         activations.weights = sum.weights;
-        sum_of_products(sum.bias, &sum.weights, &activations.hidden)
+        sum_of_products(sum.bias, &sum.weights.0, &activations.hidden.0)
     }
 
     /// Adapts the outputs of the last opinion to the bit, to which it gave these log odds.
@@ -123,13 +133,13 @@ impl<const T: usize, const D: usize, const O: usize> Network<T, D, O> {
         let by = error * self.rates.outputs;
         let mut changes = [0.0; UNITS];
         for unit in 0..UNITS {
-            activations.gradient[unit] += error * activations.weights[unit];
-            changes[unit] = by * activations.hidden[unit];
+            activations.gradient.0[unit] += error * activations.weights.0[unit];
+            changes[unit] = by * activations.hidden.0[unit];
         }
         for output in outputs {
             let Output { weights, bias } = &mut self.outputs[output];
             for unit in 0..UNITS {
-                weights[unit] += changes[unit];
+                weights.0[unit] += changes[unit];
             }
             *bias += by;
         }
@@ -156,18 +166,25 @@ impl<const T: usize, const D: usize, const O: usize> NullaryFnOnce for Activatin
         let Activating { network, rows, numbers } = self;
         let mut sums = [0.0; UNITS];
         for row in rows {
-            let row = &network.rows[row];
+            let Units(row) = &network.rows[row];
             for unit in 0..UNITS {
                 sums[unit] += row[unit];
             }
         }
-        for (weights, number) in network.rows.iter().zip(numbers) {
+        for (Units(weights), number) in network.rows.iter().zip(numbers) {
             for unit in 0..UNITS {
                 sums[unit] += weights[unit] * number;
             }
         }
         let hidden = lanes(|unit| sums[unit] / (1.0 + sums[unit].abs()));
-        Activations { rows, numbers: *numbers, sums, hidden, weights: [0.0; UNITS], gradient: [0.0; UNITS] }
+        Activations {
+            rows,
+            numbers: *numbers,
+            sums: Units(sums),
+            hidden: Units(hidden),
+            weights: Units::ZERO,
+            gradient: Units::ZERO,
+        }
     }
 }
 
@@ -183,16 +200,16 @@ impl<const T: usize, const D: usize, const O: usize> NullaryFnOnce for Learning<
     fn call(self) {
         let Learning { network, activations } = self;
         let NetworkRates { rows: row_rate, numbers: number_rate, .. } = network.rates;
-        let gradient: Units = lanes(|unit| {
+        let gradient: [f32; UNITS] = lanes(|unit| {
             // The derivative of x / (1 + |x|).
-            let slope = 1.0 + activations.sums[unit].abs();
-            activations.gradient[unit] / (slope * slope)
+            let slope = 1.0 + activations.sums.0[unit].abs();
+            activations.gradient.0[unit] / (slope * slope)
         });
-        let change: Units = lanes(|unit| gradient[unit] * row_rate);
+        let change: [f32; UNITS] = lanes(|unit| gradient[unit] * row_rate);
         // Copies, which nothing that is written can alias.
         let Activations { rows, numbers, .. } = *activations;
         for row in rows {
-            let row = &mut network.rows[row];
+            let Units(row) = &mut network.rows[row];
             for unit in 0..UNITS {
                 row[unit] += change[unit];
             }
@@ -200,7 +217,7 @@ impl<const T: usize, const D: usize, const O: usize> NullaryFnOnce for Learning<
         // By index, which is checked: LLVM would compute this loop across numbers instead of units.
         for index in 0..D {
             let rate = numbers[index] * number_rate;
-            let weights = &mut network.rows[index];
+            let Units(weights) = &mut network.rows[index];
             for unit in 0..UNITS {
                 weights[unit] += rate * gradient[unit];
             }

@@ -104,12 +104,12 @@ impl DeepLevels {
         // The processor loads the lines while the zero is coded.
         let hashes = view_hashes(&around, (row, column), prediction);
         let first = self.candidates(&hashes, 1);
-        let mut judgement = Judgement::new(&self.network, &around, row);
-        let odds = judgement.odds(&self.network, 0);
+        let mut inference = Inference::new(&self.network, &around, row);
+        let odds = inference.odds(&self.network, 0);
         let is_zero = self.zero.code(coder, &around, (row, column), prediction, odds, level == 0);
-        judgement.learn_bit(&mut self.network, 0, odds, is_zero);
+        inference.learn_bit(&mut self.network, 0, odds, is_zero);
         if is_zero {
-            self.network.learn(&judgement.activations);
+            self.network.learn(&inference.activations);
             return 0;
         }
         let [expected, gradient] =
@@ -121,8 +121,8 @@ impl DeepLevels {
             uncertainty: expected * ERROR_LEVELS + gradient,
         };
         let opinion = self.fit.opinion(prediction, site.uncertainty, scale);
-        let level = self.code_bits(coder, scale.bits(), &site, first, (opinion, &mut judgement), level);
-        self.network.learn(&judgement.activations);
+        let level = self.code_bits(coder, scale.bits(), &site, first, (opinion, &mut inference), level);
+        self.network.learn(&inference.activations);
         if level > 0 {
             let own = f32::from(scale.context_of(level));
             self.fit.learn(&around, prediction, site.uncertainty, own);
@@ -144,7 +144,7 @@ impl DeepLevels {
         bits: u32,
         site: &Site,
         mut candidates: [Candidates; VIEWS],
-        (mut fit, judgement): (FitOpinion, &mut Judgement),
+        (mut fit, inference): (FitOpinion, &mut Inference),
         level: u32,
     ) -> u32 {
         let mut node = 1usize;
@@ -164,13 +164,13 @@ impl DeepLevels {
                     *opinion = line.opinion(self.tables, place);
                 }
                 opinions[VIEWS] = fit.of_upper_half(self.fit.shape(), self.tables);
-                let odds = judgement.odds(&self.network, node);
+                let odds = inference.odds(&self.network, node);
                 opinions[VIEWS + 1] = odds;
                 opinions[VIEWS + 2] = CONSTANT;
                 let bit = level >> left & 1 == 1;
                 let bit = self.mixer.code(coder, &site.mix_contexts(node, left), &opinions, bit);
                 lines.iter_mut().for_each(|line| line.learn(place, bit));
-                judgement.learn_bit(&mut self.network, node, odds, bit);
+                inference.learn_bit(&mut self.network, node, odds, bit);
                 fit.narrow(bit);
                 node = node << 1 | usize::from(bit);
                 place = place << 1 | usize::from(bit);
@@ -378,13 +378,13 @@ const GATES: usize = SINGLE / 2;
 
 type LevelNetwork = Network<{ SINGLES + PAIRED }, 1, 2>;
 
-/// The network's view of one intensity.
-struct Judgement {
+/// The network, applied to one intensity.
+struct Inference {
     activations: Activations<{ SINGLES + PAIRED }, 1>,
     gate: usize,
 }
 
-impl Judgement {
+impl Inference {
     fn new(network: &LevelNetwork, around: &Surroundings, row: usize) -> Self {
         let single = |level: u16| usize::from(level).min(SINGLE - 1);
         let row = row.min(SINGLE - 1);
@@ -421,7 +421,7 @@ impl Judgement {
             pair(w, same),
             pair(row, w),
         ];
-        Judgement { activations: network.activate(&contexts, &[1.0]), gate: (w / 2).min(GATES - 1) }
+        Inference { activations: network.activate(&contexts, &[1.0]), gate: (w / 2).min(GATES - 1) }
     }
 
     /// The outputs at a node; 0 is for whether the level is 0.

@@ -1,14 +1,12 @@
 //! The deep model of ranges: more least-squares fits, among them one for each stretch of columns; several
 //! sets of weights for the same predictors, each with its own contexts; a neural network that corrects their
-//! mean; and mixing in two layers. FORMAT.md
-//! 8.6, "deep".
+//! odds; and mixing in two layers. FORMAT.md 8.6, "deep".
 //!
 //! Cells with and without a reference are treated alike: the reference, if there is one, contributes
 //! contexts.
 //!
 //! After the model come the fits, and the one that blends their predictions; a cell's predictions and
-//! contexts; the inputs of the
-//! network; and halving under a mixture with several sets of weights.
+//! contexts; the network with its inputs; and halving under a mixture with several sets of weights.
 
 use super::halving::{Bins, Halves, RangeScale, code_bin, first_bucket};
 use super::mixture::{Interval, Mixture, Predicted, Rates};
