@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use pulp::{Arch, NullaryFnOnce};
+use pulp::{Arch, Scalar, WithSimd};
 
 /// Whether this process is restricted to instructions that every processor of the target has.
 static IS_PLAIN: AtomicBool = AtomicBool::new(false);
@@ -15,8 +15,11 @@ pub fn keep_to_plain_code() {
 }
 
 /// Runs a function compiled for several vector units, in the version for the widest that this processor has.
-pub fn dispatch<F: NullaryFnOnce>(function: F) -> F::Output {
-    if IS_PLAIN.load(Ordering::Relaxed) { function.call() } else { Arch::new().dispatch(function) }
+pub fn dispatch<F: WithSimd>(function: F) -> F::Output {
+    match IS_PLAIN.load(Ordering::Relaxed) {
+        true => function.with_simd(Scalar::new()),
+        false => Arch::new().dispatch(function),
+    }
 }
 
 /// An array with one value for each lane. Unlike `std::array::from_fn`, it is compiled for the vector unit of

@@ -21,7 +21,7 @@ use crate::entropy::{
     MixRates, MixedBits, Network, NetworkRates, hash, hash_below,
 };
 use crate::ground::lanes::lanes;
-use crate::models::least_squares::BatchedLeastSquares;
+use crate::models::least_squares::LeastSquares;
 use crate::models::quantise::{Levels, signed_level};
 use crate::models::shape::{ErrorShape, Placed};
 
@@ -457,7 +457,7 @@ const LEAST: f32 = 1.0 / (1 << 24) as f32;
 /// The fits, and their mean errors.
 #[derive(Clone)]
 struct Fit {
-    fits: [BatchedLeastSquares<FEATURES>; FITS],
+    fits: [LeastSquares<FEATURES>; FITS],
     shape: ErrorShape,
     /// The mean error in each context, in context levels.
     scales: Vec<f32>,
@@ -467,7 +467,7 @@ impl Fit {
     /// Creates untrained fits, with mean errors for `contexts` contexts.
     fn new(contexts: usize) -> Self {
         Fit {
-            fits: std::array::from_fn(|_| BatchedLeastSquares::new(0.998)),
+            fits: std::array::from_fn(|_| LeastSquares::new(0.998)),
             shape: ErrorShape::new(),
             scales: vec![4.0; contexts],
         }

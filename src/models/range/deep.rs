@@ -19,7 +19,7 @@ use super::{
 use crate::entropy::{
     Activations, BitCoder, LayeredBits, LayeredContext, Logistic, MixContexts, Network, NetworkRates,
 };
-use crate::models::least_squares::BatchedLeastSquares;
+use crate::models::least_squares::LeastSquares;
 use crate::models::quantise::signed_level;
 use crate::models::shape::ErrorShape;
 
@@ -168,13 +168,13 @@ const SOON: u32 = 8;
 #[derive(Clone)]
 struct Fits {
     /// Fits by kind of edge; those with a reference follow those without.
-    wide: Vec<BatchedLeastSquares<WIDE_FEATURES>>,
+    wide: Vec<LeastSquares<WIDE_FEATURES>>,
     /// Fits to the last few returns, by kind of edge.
-    recent: Vec<BatchedLeastSquares<FEATURES>>,
+    recent: Vec<LeastSquares<FEATURES>>,
     /// Fits to the last few returns in a stretch of columns, in this row and those above.
-    local: Vec<BatchedLeastSquares<ALL_FEATURES>>,
+    local: Vec<LeastSquares<ALL_FEATURES>>,
     /// Fits to the predictions of these, by class of error.
-    blend: Vec<BatchedLeastSquares<BLEND_FEATURES>>,
+    blend: Vec<LeastSquares<BLEND_FEATURES>>,
 }
 
 /// The predictions of the fits for a cell, in steps from the left neighbour, with their features.
@@ -195,10 +195,10 @@ pub struct Fitted {
 impl Default for Fits {
     fn default() -> Self {
         Fits {
-            wide: vec![BatchedLeastSquares::new(LONG_MEMORY); 2 * EDGES],
-            recent: vec![BatchedLeastSquares::new(SHORT_MEMORY).solved_every(SOON); EDGES],
+            wide: vec![LeastSquares::new(LONG_MEMORY); 2 * EDGES],
+            recent: vec![LeastSquares::new(SHORT_MEMORY).solved_every(SOON); EDGES],
             local: Vec::new(),
-            blend: vec![BatchedLeastSquares::new(LONG_MEMORY).solved_every(SOON); ERROR_LEVELS],
+            blend: vec![LeastSquares::new(LONG_MEMORY).solved_every(SOON); ERROR_LEVELS],
         }
     }
 }
@@ -207,7 +207,7 @@ impl Fits {
     /// Prepares for an image of `columns` columns.
     fn start_frame(&mut self, columns: usize) {
         let stretches = columns.div_ceil(STRETCH).max(self.local.len());
-        self.local.resize(stretches, BatchedLeastSquares::new(SHORT_MEMORY).solved_every(SOON));
+        self.local.resize(stretches, LeastSquares::new(SHORT_MEMORY).solved_every(SOON));
     }
 
     /// Copies the learned state of the fits without a reference to those with one.
