@@ -9,7 +9,7 @@ use std::cmp::Reverse;
 use std::f64::consts::TAU;
 
 use nalgebra::{SMatrix, SVector};
-use pulp::NullaryFnOnce;
+use pulp::{NullaryFnOnce, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::beams::{Beam, Cone, Point, align, split_beams};
@@ -322,33 +322,30 @@ const OF_X_AND_Y: [[usize; 2]; 10] =
     [[0, 0], [1, 0], [3, 0], [4, 0], [1, 1], [3, 1], [4, 1], [3, 3], [4, 3], [4, 4]];
 const OF_Z: [[usize; 2]; 3] = [[0, 0], [2, 0], [2, 2]];
 
-impl NullaryFnOnce for Equations<'_> {
+impl WithSimd for Equations<'_> {
     type Output = System;
 
     #[inline(always)]
-    fn call(self) -> System {
-        let mut sums = Sums::<LANES>::default();
-        let (blocks, rest) = self.points.as_chunks::<LANES>();
+    fn with_simd<S: Simd>(self, simd: S) -> System {
+        let mut sums = Sums::default();
+        let (blocks, rest) = self.points.as_chunks();
         for block in blocks {
-            self.add(block, &mut sums);
+            self.add(simd, block, LANES, &mut sums);
         }
-        let mut of_rest = Sums::<1>::default();
-        for point in rest {
-            self.add(std::array::from_ref(point), &mut of_rest);
+        if let Some(last) = rest.last() {
+            let mut block = [*last; LANES];
+            block[..rest.len()].copy_from_slice(rest);
+            self.add(simd, &block, rest.len(), &mut sums);
         }
         let mut system = System { normal: SMatrix::zeros(), right: SVector::zeros() };
-        let mut add = |place: [usize; 2], sums: &[f64], of_rest: &[f64]| {
-            system.normal[(place[0], place[1])] += sums.iter().chain(of_rest).sum::<f64>();
-        };
-        for (place, (sums, of_rest)) in OF_X_AND_Y.into_iter().zip(sums.x_and_y.iter().zip(&of_rest.x_and_y))
-        {
-            add(place, sums, of_rest);
+        for ([row, column], sum) in OF_X_AND_Y.into_iter().zip(sums.x_and_y) {
+            system.normal[(row, column)] += sum.iter().sum::<f64>();
         }
-        for (place, (sums, of_rest)) in OF_Z.into_iter().zip(sums.z.iter().zip(&of_rest.z)) {
-            add(place, sums, of_rest);
+        for ([row, column], sum) in OF_Z.into_iter().zip(sums.z) {
+            system.normal[(row, column)] += sum.iter().sum::<f64>();
         }
-        for (row, (sums, of_rest)) in sums.right.iter().zip(&of_rest.right).enumerate() {
-            system.right[row] = sums.iter().chain(of_rest).sum();
+        for (row, sum) in sums.right.iter().enumerate() {
+            system.right[row] = sum.iter().sum();
         }
         system
     }
@@ -356,46 +353,56 @@ impl NullaryFnOnce for Equations<'_> {
 
 /// Sums of the products of which normal equations consist, in the order of [`OF_X_AND_Y`] and [`OF_Z`], lane
 /// by lane.
-#[derive(Clone, Copy)]
-struct Sums<const N: usize> {
-    x_and_y: [[f64; N]; OF_X_AND_Y.len()],
-    z: [[f64; N]; OF_Z.len()],
-    right: [[f64; N]; 5],
-}
-
-impl<const N: usize> Default for Sums<N> {
-    fn default() -> Self {
-        Sums { x_and_y: [[0.0; N]; OF_X_AND_Y.len()], z: [[0.0; N]; OF_Z.len()], right: [[0.0; N]; 5] }
-    }
+#[derive(Default)]
+struct Sums {
+    x_and_y: [[f64; LANES]; OF_X_AND_Y.len()],
+    z: [[f64; LANES]; OF_Z.len()],
+    right: [[f64; LANES]; 5],
 }
 
 impl Equations<'_> {
-    /// Adds the equations of some points.
+    /// Adds the equations of the first `count` of some points.
     #[inline(always)]
-    fn add<const N: usize>(&self, points: &[Point; N], sums: &mut Sums<N>) {
+    fn add<S: Simd>(&self, simd: S, points: &[Point; LANES], count: usize, sums: &mut Sums) {
         let sites = self.formula.at(points);
         let largest = sites.largest_misses();
         let [x_by, y_by, z_by] = self.formula.slopes(&sites);
         // 0 where a coordinate does not count.
-        let beyond = |axis: usize| -> ([f64; N], [f64; N]) {
+        let beyond = |axis: usize| -> [[f64; LANES]; 2] {
             let miss = &sites.miss[axis];
-            let beyond: [f64; N] = lanes(|i| miss[i] - miss[i].max(-self.slack).min(self.slack));
-            let counts: [bool; N] = lanes(|i| (largest[i] < self.reach) & (beyond[i] != 0.0));
-            (lanes(|i| if counts[i] { 1.0 } else { 0.0 }), lanes(|i| if counts[i] { beyond[i] } else { 0.0 }))
+            let beyond: [f64; LANES] = lanes(|i| miss[i] - miss[i].max(-self.slack).min(self.slack));
+            let counts: [bool; LANES] =
+                lanes(|i| (i < count) & (largest[i] < self.reach) & (beyond[i] != 0.0));
+            [lanes(|i| if counts[i] { 1.0 } else { 0.0 }), lanes(|i| if counts[i] { beyond[i] } else { 0.0 })]
         };
-        let ((x, x_miss), (y, y_miss), (z, z_miss)) = (beyond(0), beyond(1), beyond(2));
+        let [[x, x_miss], [y, y_miss], [z, z_miss]] = [beyond(0), beyond(1), beyond(2)];
         for (sum, [row, column]) in sums.x_and_y.iter_mut().zip(OF_X_AND_Y) {
-            *sum = lanes(|i| {
-                sum[i] + x[i] * x_by[row][i] * x_by[column][i] + y[i] * y_by[row][i] * y_by[column][i]
-            });
+            let of_x = [&x, &x_by[row], &x_by[column]];
+            add_products(simd, sum, [of_x, [&y, &y_by[row], &y_by[column]]]);
         }
         for (sum, [row, column]) in sums.z.iter_mut().zip(OF_Z) {
-            *sum = lanes(|i| sum[i] + z[i] * z_by[row][i] * z_by[column][i]);
+            add_products(simd, sum, [[&z, &z_by[row], &z_by[column]]]);
         }
         for (row, sum) in sums.right.iter_mut().enumerate() {
-            *sum = lanes(|i| {
-                sum[i] + x_by[row][i] * x_miss[i] + y_by[row][i] * y_miss[i] + z_by[row][i] * z_miss[i]
-            });
+            add_products(simd, sum, [[&x_by[row], &x_miss], [&y_by[row], &y_miss], [&z_by[row], &z_miss]]);
+        }
+    }
+}
+
+/// Adds products to a sum, lane by lane. It names the vectors: left to choose them, LLVM gathers the elements
+/// of several sums.
+#[inline(always)]
+fn add_products<S: Simd, const FACTORS: usize, const PRODUCTS: usize>(
+    simd: S,
+    sum: &mut [f64; LANES],
+    products: [[&[f64; LANES]; FACTORS]; PRODUCTS],
+) {
+    let (sums, _) = S::as_mut_simd_f64s(sum);
+    for (part, sum) in sums.iter_mut().enumerate() {
+        for factors in products {
+            let factor = |number: usize| S::as_simd_f64s(factors[number]).0[part];
+            let product = (1..FACTORS).fold(factor(0), |product, i| simd.mul_f64s(product, factor(i)));
+            *sum = simd.add_f64s(*sum, product);
         }
     }
 }
