@@ -652,7 +652,7 @@ fn to_verify_takes_no_more_memory_than_to_decode() {
         // Whether threads need their memory at the same moment is chance: what suffices to decode does five
         // times.
         let mebibytes = (32..MEBIBYTES)
-            .step_by(16)
+            .step_by(32)
             .find(|&most| (0..5).all(|_| succeeds(most, "decode out.lpc -o back --force")));
         let is_enough = (0..5).any(|_| succeeds(mebibytes.unwrap(), "verify out.lpc"));
         assert!(is_enough, "{threads} threads, {mebibytes:?} MiB");
