@@ -4,7 +4,7 @@
 
 use std::ops::Range;
 
-use pulp::{Simd, WithSimd};
+use pulp::{Scalar128b, Simd, WithSimd};
 
 use crate::ground::lanes::{LANES, dispatch, sum_of_products};
 
@@ -45,7 +45,6 @@ const ROWS: usize = 8;
 impl<const N: usize> LeastSquares<N> {
     /// Starts with all weights 0. Each sample multiplies the weight of all earlier ones by `forget`.
     pub fn new(forget: f32) -> Self {
-        const { assert!(N.is_multiple_of(LANES)) };
         LeastSquares {
             equations: Equations { normal: [[0.0; N]; N], right: [0.0; N], forget },
             weights: [0.0; N],
@@ -97,7 +96,12 @@ impl<const N: usize> LeastSquares<N> {
 
     #[inline(never)]
     fn solve(&mut self) {
-        dispatch(Solution(self));
+        // With so few features it would take longer to choose a vector unit.
+        if N <= LANES {
+            Solution(self).with_simd(Scalar128b)
+        } else {
+            dispatch(Solution(self))
+        }
         self.latest.clear();
     }
 }
@@ -135,9 +139,13 @@ impl<const N: usize> Equations<N> {
                 self.add_to_tile::<S, ROWS>(simd, row, columns.clone(), samples);
                 row += ROWS;
             }
-            while row < columns.end {
+            while row + LANES <= columns.end {
                 self.add_to_tile::<S, LANES>(simd, row, columns.clone(), samples);
                 row += LANES;
+            }
+            while row < columns.end {
+                self.add_to_tile::<S, 1>(simd, row, columns.clone(), samples);
+                row += 1;
             }
         }
     }
@@ -301,6 +309,7 @@ mod tests {
 
     #[test]
     fn results_are_those_of_the_plain_form() {
+        agree::<1, 4>();
         agree::<4, 8>();
         agree::<8, 16>();
         agree::<12, 16>();

@@ -241,7 +241,7 @@ impl Partners {
 /// How far beside the origin the beams begin: for a moving scanner, or one that is not the origin, a laser's
 /// azimuth changes with the distance of what it hits.
 #[derive(Clone)]
-pub struct Parallax(LeastSquares<4>);
+pub struct Parallax(LeastSquares<1>);
 
 impl Default for Parallax {
     fn default() -> Self {
@@ -254,7 +254,7 @@ impl Parallax {
     fn offset(&self) -> f64 {
         /// Farther than any scanner is mounted from the origin of a vehicle's frame.
         const FARTHEST: f64 = 3.0;
-        f64::from(self.0.predict(&[1.0, 0.0, 0.0, 0.0])).clamp(-FARTHEST, FARTHEST)
+        f64::from(self.0.predict(&[1.0])).clamp(-FARTHEST, FARTHEST)
     }
 
     /// How far a laser has turned between two points, in radians.
@@ -271,7 +271,7 @@ impl Parallax {
         let step = turned(own.azimuth - west.azimuth) - turned(north.azimuth - north_west.azimuth);
         if step.abs() < LARGEST {
             let closer = (own.closeness() - west.closeness()) - (north.closeness() - north_west.closeness());
-            self.0.learn(&[(closer * SCALE) as f32, 0.0, 0.0, 0.0], (step * SCALE) as f32, 1.0);
+            self.0.learn(&[(closer * SCALE) as f32], (step * SCALE) as f32, 1.0);
         }
     }
 }
