@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """Nanoseconds a point that a further frame takes to encode and to decode, on one thread: the processor's time of a drive made of a
-folder's scans several times over, less that of half of it. What an encoder does once, mostly the fit, is in neither; its milliseconds
-stand beside them.
+folder's scans several times over, less that of half of it. What is done once, such as the fit, is in neither.
 
     benches/per_point.py FOLDER... [--levels 1 6] [--frames 24] [--program target/release/lidarpc]
 
@@ -47,7 +46,7 @@ def main():
     parser.add_argument("--frames", type=int, default=24)
     parser.add_argument("--program", type=Path, default=ROOT / "target/release/lidarpc")
     options = parser.parse_args()
-    print(f"{'folder':28} level  encode  decode  once, ms")
+    print(f"{'folder':28} level  encode  decode")
     for folder in options.folders:
         scans = sorted(path for path in folder.iterdir() if path.is_file())
         times = max(1, options.frames // len(scans))
@@ -63,8 +62,7 @@ def main():
                 half, whole = (measured(options.program, drive, level, work) for drive, _ in drives)
                 points = whole[2] - half[2]
                 encode, decode = (1e9 * (whole[part] - half[part]) / points for part in range(2))
-                once = 1e3 * (2 * half[0] - whole[0])
-                print(f"{folder.name:28} {level:5} {encode:7.0f} {decode:7.0f} {once:9.0f}", flush=True)
+                print(f"{folder.name:28} {level:5} {encode:7.0f} {decode:7.0f}", flush=True)
 
 
 if __name__ == "__main__":
