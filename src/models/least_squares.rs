@@ -96,28 +96,31 @@ impl<const N: usize> LeastSquares<N> {
 
     #[inline(never)]
     fn solve(&mut self) {
+        let added = Adding { equations: &mut self.equations, samples: &self.latest };
         // With so few features it would take longer to choose a vector unit.
         if N <= LANES {
-            Solution(self).with_simd(Scalar128b)
+            added.with_simd(Scalar128b)
         } else {
-            dispatch(Solution(self))
+            dispatch(added)
         }
         self.latest.clear();
+        self.equations.solve(&mut self.weights);
     }
 }
 
-/// The work of a solution: the latest samples are added to the equations, which are then solved. It names the
-/// vectors: left to choose them, LLVM gathers the elements of several rows at each step.
-struct Solution<'a, const N: usize>(&'a mut LeastSquares<N>);
+/// Adds samples to the equations. It names the vectors: left to choose them, LLVM gathers the elements of
+/// several rows at each step.
+struct Adding<'a, const N: usize> {
+    equations: &'a mut Equations<N>,
+    samples: &'a [Sample<N>],
+}
 
-impl<const N: usize> WithSimd for Solution<'_, N> {
+impl<const N: usize> WithSimd for Adding<'_, N> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let LeastSquares { equations, weights, latest, .. } = self.0;
-        equations.add(simd, latest);
-        equations.solve(simd, weights);
+        self.equations.add(simd, self.samples);
     }
 }
 
@@ -191,8 +194,9 @@ impl<const N: usize> Equations<N> {
     }
 
     /// Solves by Cholesky decomposition; if the matrix is not positive definite, the weights are not changed.
-    #[inline(always)]
-    fn solve<S: Simd>(&self, simd: S, weights: &mut [f32; N]) {
+    /// Not compiled for AVX-512, for which LLVM gathers the elements of several rows; nor are there vectors
+    /// named, because what is written to a part of one is slow to be read back.
+    fn solve(&self, weights: &mut [f32; N]) {
         // The rows above number k are those of the upper factor, the others what is left of the matrix.
         let mut rows = self.normal;
         let mut inverse = [0.0; N];
@@ -203,16 +207,14 @@ impl<const N: usize> Equations<N> {
             } else {
                 return;
             }
-            let scale = simd.splat_f32s(inverse[k]);
-            for column in (k / S::F32_LANES * S::F32_LANES..N).step_by(S::F32_LANES) {
-                let columns = columns_from::<S>(column, N);
-                let row = simd.partial_load_f32s(&rows[k][columns.clone()]);
-                let row = simd.mul_f32s(row, scale);
-                simd.partial_store_f32s(&mut rows[k][columns.clone()], row);
-                for j in k + 1..columns.end {
-                    let left = simd.partial_load_f32s(&rows[j][columns.clone()]);
-                    let taken = simd.mul_f32s(simd.splat_f32s(rows[k][j]), row);
-                    simd.partial_store_f32s(&mut rows[j][columns.clone()], simd.sub_f32s(left, taken));
+            for i in 0..N {
+                rows[k][i] *= inverse[k];
+            }
+            let row = rows[k];
+            for j in k + 1..N {
+                let factor = row[j];
+                for i in 0..N {
+                    rows[j][i] -= factor * row[i];
                 }
             }
         }
@@ -220,7 +222,7 @@ impl<const N: usize> Equations<N> {
         let mut known = [0.0; N];
         for k in 0..N {
             forward[k] = (self.right[k] - known[k]) * inverse[k];
-            for i in k + 1..N {
+            for i in 0..N {
                 known[i] += rows[k][i] * forward[k];
             }
         }
