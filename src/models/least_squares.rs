@@ -288,6 +288,7 @@ mod tests {
         let mut plain = Plain::<N> { normal: [[0.0; N]; N], right: [0.0; N], weights: [0.0; N] };
         let mut model = LeastSquares::<N>::new(0.98).solved_every(8);
         let mut wide = model.widened::<WIDE>();
+        let (mut scalar, mut scalar_weights) = (model.equations.clone(), [0.0; N]);
         for sample in 1..=200 {
             let mut number = || random.below(2000) as f32 / 100.0 - 10.0;
             let features: [f32; N] = std::array::from_fn(|_| number());
@@ -300,8 +301,13 @@ mod tests {
             plain.learn(&features, target, weight, 0.98);
             model.learn(&features, target, weight);
             wide.learn(&wide_features, target, weight);
+            // As on processors without vector units.
+            let samples = &[Sample { features, target, weight }];
+            Adding { equations: &mut scalar, samples }.with_simd(pulp::Scalar::new());
             if sample % 8 == 0 {
                 plain.solve();
+                scalar.solve(&mut scalar_weights);
+                assert_eq!(model.weights, scalar_weights);
             }
             if sample == 100 {
                 wide = model.widened();

@@ -397,6 +397,7 @@ fn add_products<S: Simd, const FACTORS: usize, const PRODUCTS: usize>(
     sum: &mut [f64; LANES],
     products: [[&[f64; LANES]; FACTORS]; PRODUCTS],
 ) {
+    const { assert!(LANES.is_multiple_of(S::F64_LANES)) };
     let (sums, _) = S::as_mut_simd_f64s(sum);
     for (part, sum) in sums.iter_mut().enumerate() {
         for factors in products {
@@ -529,4 +530,36 @@ fn explained_share(constants: &[f64; 5], points: &[Point]) -> f64 {
     let points: Vec<Point> = thinned(points, SAMPLE).copied().collect();
     let misses = FitFormula::new(constants).largest_misses(&points);
     misses.iter().filter(|miss| **miss < REACH).count() as f64 / misses.len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ground::random::Rng;
+
+    #[test]
+    fn each_point_counts_once_and_alike_on_every_vector_unit() {
+        let formula = FitFormula::new(&[-0.1, 0.02, -0.05, 0.026, 0.3]);
+        let mut random = Rng::keyed(1, &[]);
+        let mut metres = || f64::from(random.below(40_000) as u32) * 1e-3 - 20.0;
+        let points: Vec<Point> = (0..2 * LANES + 3)
+            .map(|_| {
+                let position @ [x, y, _] = [metres(), metres(), metres()];
+                Point { position, rho: libm::hypot(x, y), azimuth: libm::atan2(y, x).rem_euclid(TAU) }
+            })
+            .collect();
+        let of = |points| System::of(&formula, points, f64::INFINITY, 0.0);
+        let whole = of(&points);
+        let plain = Equations { formula: &formula, points: &points, reach: f64::INFINITY, slack: 0.0 }
+            .with_simd(pulp::Scalar::new());
+        assert_eq!((whole.normal, whole.right), (plain.normal, plain.right));
+        let mut single = System { normal: SMatrix::zeros(), right: SVector::zeros() };
+        for point in &points {
+            let System { normal, right } = of(std::slice::from_ref(point));
+            single.normal += normal;
+            single.right += right;
+        }
+        assert!((whole.normal - single.normal).amax() < 1e-12 * whole.normal.amax());
+        assert!((whole.right - single.right).amax() < 1e-12 * whole.right.amax());
+    }
 }
