@@ -10,10 +10,19 @@
 /// Rounds to the nearest whole number, halves to even; for magnitudes below 2^51.
 #[inline]
 pub fn round_ties_even(value: f64) -> f64 {
-    // At this magnitude neighbouring floats are 1 apart, so the addition rounds.
-    const ONES: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
     (value + ONES) - ONES
 }
+
+/// The nearest integer, halves to even; for magnitudes below 2^31. Unlike a conversion by `as`, it is one
+/// vector instruction or two.
+#[inline(always)]
+pub fn nearest_integer(value: f64) -> i32 {
+    // The low bits of the fraction.
+    (value + ONES).to_bits() as i32
+}
+
+/// At this magnitude, 1.5 * 2^52, neighbouring floats are 1 apart, so that an addition rounds.
+const ONES: f64 = 6_755_399_441_055_744.0;
 
 /// The rank of a float32 value.
 pub fn rank(value: f32) -> i64 {
@@ -56,6 +65,9 @@ mod tests {
     fn it_rounds_as_the_standard_function_does() {
         for value in [0.0, 0.5, 1.5, 2.5, -0.5, -1.5, 0.49999999999999994, 1e12 + 0.5, -7.3, 123456.789] {
             assert_eq!(round_ties_even(value), value.round_ties_even());
+        }
+        for value in [0.0, 0.5, 1.5, 2.5, -0.5, -1.5, -7.3, 123456.789, 2_147_483_647.0, -2_147_483_648.0] {
+            assert_eq!(f64::from(nearest_integer(value)), value.round_ties_even());
         }
     }
 }

@@ -216,12 +216,12 @@ impl CoordinateGrid {
 
     /// Whether [`holds`](Self::holds) is true for all these values.
     #[inline(always)]
-    pub fn holds_all<const N: usize>(self, values: [f64; N], formula: [f64; N]) -> bool {
+    pub fn holds_all<const N: usize>(self, values: &[f64; N], formula: &[f64; N]) -> bool {
         if self == CoordinateGrid::Millimetre {
             // A shortcut for the most frequent case: values on the grid other than 0, whose sign need not be
             // checked.
             let mut all = true;
-            for value in values {
+            for &value in values {
                 let near = (round_ties_even(value * 1000.0) * 0.001) as f32;
                 all &= (f64::from(near) == value) & (value != 0.0) & (value.abs() < 1e6);
             }
@@ -437,7 +437,7 @@ mod tests {
                     let holds = grid.unit_in_file(value).is_some()
                         && (value != 0.0 || grid.keeps_zero(value, formula));
                     assert_eq!(grid.holds(value, formula), holds, "{value} near {formula} on {grid:?}");
-                    let all = grid.holds_all([f64::from(value); 2], [formula; 2]);
+                    let all = grid.holds_all(&[f64::from(value); 2], &[formula; 2]);
                     assert_eq!(all, holds, "{value} near {formula} on {grid:?}");
                 }
             }

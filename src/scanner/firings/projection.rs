@@ -147,7 +147,7 @@ impl<const IS_MOUNTED: bool> NullaryFnOnce for Search<'_, IS_MOUNTED> {
                     _ => (scanner.position(&found, 0.0), block[i].map(f64::from)),
                 };
                 let is_near = (0..3).all(|axis| (formula[axis] - metres[axis]).abs() < reach);
-                if is_near && (grid == CoordinateGrid::Float32 || grid.holds_all(metres, formula)) {
+                if is_near && (grid == CoordinateGrid::Float32 || grid.holds_all(&metres, &formula)) {
                     let mut place = scanner.place(first + i as u32, &found);
                     if blur.is_any() {
                         let distance = (metres[0] * metres[0] + metres[1] * metres[1]).sqrt();

@@ -7,7 +7,7 @@ use pulp::NullaryFnOnce;
 
 use super::Hdl64;
 use super::model::ON_CONE;
-use crate::ground::floats::round_ties_even;
+use crate::ground::floats::{nearest_integer, round_ties_even};
 use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::scan::{PointCloud, squared_distance};
@@ -224,7 +224,9 @@ impl Hdl64 {
         if self.range_step_um == FLOAT_RANGES || turn < 16.0 * NEAR {
             return None;
         }
-        let [x, y, z]: [[f64; N]; 3] = [0, 1, 2].map(|axis| lanes(|i| f64::from(points[i][axis])));
+        let x: [f64; N] = lanes(|i| f64::from(points[i][0]));
+        let y: [f64; N] = lanes(|i| f64::from(points[i][1]));
+        let z: [f64; N] = lanes(|i| f64::from(points[i][2]));
         let rho: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt());
         let (cos, sin) = beam.heading(self.ticks_of_turn.get(hint));
         let turned: [f64; N] = lanes(|i| (y[i] * cos - x[i] * sin - beam.h) / rho[i] * (turn * (1.0 / TAU)));
@@ -238,7 +240,7 @@ impl Hdl64 {
                 & (steps[i] >= 1.0)
                 & (steps[i] <= most)
         };
-        // Loops rather than calls, which would not be compiled for the same vector unit.
+        // Loops rather than calls of iterators and arrays, which would not be compiled for the same vector unit.
         let mut all_expected = true;
         for i in 0..N {
             all_expected &= is_expected(i);
@@ -247,20 +249,22 @@ impl Hdl64 {
             return None;
         }
         let ticks: [u32; N] = lanes(|i| {
-            let tick = hint as i32 + round_ties_even(turned[i]) as i32;
+            let tick = hint as i32 + nearest_integer(turned[i]);
             let (first, end) = (tick < 0, tick >= self.ticks as i32);
             (tick + self.ticks as i32 * (i32::from(first) - i32::from(end))) as u32
         });
         let metres: [f64; N] = lanes(|i| steps[i] * self.range_step_m());
         let formula = beam.points(self.ticks_of_turn.at(ticks), metres);
         let mut all_near = true;
-        for (axis, values) in [x, y, z].into_iter().enumerate() {
-            for i in 0..N {
-                all_near &= (formula[axis][i] - values[i]).abs() < reach;
-            }
-            all_near &= self.coordinates.holds_all(values, formula[axis]);
+        for i in 0..N {
+            all_near &= (formula[0][i] - x[i]).abs() < reach;
+            all_near &= (formula[1][i] - y[i]).abs() < reach;
+            all_near &= (formula[2][i] - z[i]).abs() < reach;
         }
-        all_near.then(|| lanes(|i| (ticks[i], steps[i] as u32)))
+        all_near &= self.coordinates.holds_all(&x, &formula[0]);
+        all_near &= self.coordinates.holds_all(&y, &formula[1]);
+        all_near &= self.coordinates.holds_all(&z, &formula[2]);
+        all_near.then(|| lanes(|i| (ticks[i], nearest_integer(steps[i]) as u32)))
     }
 }
 
