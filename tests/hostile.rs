@@ -14,7 +14,7 @@ use lidarpc::internals::ground::varint::write_unsigned;
 use lidarpc::internals::models::ByteModel;
 use lidarpc::internals::scan::{Field, Layout, ScalarType, Wrapping};
 use lidarpc::internals::scanner::hdl64::{BeamConstants, Hdl64, Hdl64ColumnModel};
-use lidarpc::internals::scanner::{CoordinateGrid, Scanner};
+use lidarpc::internals::scanner::{CoordinateGrid, Return, Scanner};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 
@@ -182,7 +182,8 @@ fn check_model(model: &Hdl64) {
             assert_eq!(model.column_tick(row, i64::from(tick)), column);
             for steps in [1, 2, 1000, 65535] {
                 let _ = model.point(row, tick, steps);
-                model.fill_azimuths(row, &[(tick, steps); 9], |place| *place, &mut [0.0; 9]);
+                let found = Return { row: row as u32, tick, steps, ..Return::default() };
+                model.fill_azimuths(row, &[found; 9], &mut [0.0; 9]);
                 let _ = model.position_at(row, tick, model.metres(steps));
             }
         }

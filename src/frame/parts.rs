@@ -301,15 +301,14 @@ impl FrameParts {
         let Projection { image, point_of_cell, point_of_echo, strays } = projection;
         self.occupancy = image.occupancy();
         self.intensity = Grid::new(image.steps.rows(), image.columns.len());
-        for row in 0..image.steps.rows() {
-            let is_record = |column: &usize| image.is_full || image.steps[(row, *column)] > 0;
-            for column in (0..image.columns.len()).filter(is_record) {
-                let point = point_of_cell[(row, column)] as usize;
-                self.intensity[(row, column)] = cloud.intensity.get(point).copied().unwrap_or(0.0);
+        let of_point = |point: &u32| cloud.intensity.get(*point as usize).copied().unwrap_or(0.0);
+        let cells = image.steps.cells().iter().zip(point_of_cell.cells());
+        for (intensity, (steps, point)) in self.intensity.cells_mut().iter_mut().zip(cells) {
+            if image.is_full || *steps > 0 {
+                *intensity = of_point(point);
             }
         }
-        let of_echo = |point: &u32| cloud.intensity.get(*point as usize).copied().unwrap_or(0.0);
-        self.echo_intensity = point_of_echo.iter().map(of_echo).collect();
+        self.echo_intensity = point_of_echo.iter().map(of_point).collect();
         self.image = image;
         let PointCloud { positions, intensity, .. } = cloud.select(&strays);
         self.strays = Strays { count: strays.len(), positions, trails: Vec::new(), intensity };

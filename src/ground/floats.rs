@@ -22,7 +22,7 @@ pub fn nearest_integer(value: f64) -> i32 {
 }
 
 /// At this magnitude, 1.5 * 2^52, neighbouring floats are 1 apart, so that an addition rounds.
-const ONES: f64 = 6_755_399_441_055_744.0;
+pub const ONES: f64 = 6_755_399_441_055_744.0;
 
 /// The rank of a float32 value.
 pub fn rank(value: f32) -> i64 {

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use super::lanes::lanes;
 
 /// Number of values that are computed together.
-const BLOCK: usize = 256;
+pub const BLOCK: usize = 256;
 
 /// Values by index, computed in blocks when one of the block's values is requested. Thus a long table
 /// announced by a stream costs neither time nor memory beyond what the frames use.
@@ -45,14 +45,20 @@ impl<T> LazyTable<T> {
     where
         T: Copy + Default,
     {
+        match self.block_of(&places) {
+            Some(values) => lanes(|i| values[places[i] as usize % BLOCK]),
+            None => lanes(|i| *self.get(places[i])),
+        }
+    }
+
+    /// The block of all these indices, if they have one, and it is whole and has been computed.
+    #[inline(always)]
+    pub fn block_of<const N: usize>(&self, places: &[u32; N]) -> Option<&[T; BLOCK]> {
         let block = |place: u32| place as usize / BLOCK;
         let first = places.first().map_or(0, |place| block(*place));
         let is_one_block = places.iter().fold(true, |all, place| all & (block(*place) == first));
         let values = self.blocks.get(first).and_then(OnceLock::get);
-        match values.and_then(|values| values.first_chunk::<BLOCK>()).filter(|_| is_one_block) {
-            Some(values) => lanes(|i| values[places[i] as usize % BLOCK]),
-            None => lanes(|i| *self.get(places[i])),
-        }
+        values.and_then(|values| values.first_chunk()).filter(|_| is_one_block)
     }
 
     #[cold]

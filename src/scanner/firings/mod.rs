@@ -49,7 +49,7 @@ use rayon::prelude::*;
 use pulp::NullaryFnOnce;
 
 use crate::ground::angle;
-use crate::ground::floats::round_ties_even;
+use crate::ground::floats::{nearest_integer, round_ties_even};
 use crate::ground::lanes::{dispatch, lanes};
 use crate::scanner::hdl64::{BeamConstants, Hdl64};
 use crate::scanner::{CoordinateGrid, RangeImage, Return, median};
@@ -384,7 +384,7 @@ impl Firings {
             let less = if ticks[i] >= turn { ticks[i] - turn } else { ticks[i] };
             if less < 0.0 { less + turn } else { less }
         });
-        let mut tick: [u32; N] = lanes(|i| within[i] as u32);
+        let mut tick: [u32; N] = lanes(|i| nearest_integer(within[i]) as u32);
         if within.iter().any(|tick| !(0.0..turn).contains(tick)) {
             // More than a turn away, or not a number.
             tick = lanes(|i| (ticks[i] as i64).rem_euclid(i64::from(self.build.ticks)) as u32);

@@ -1,5 +1,7 @@
 //! The order of a range image's returns in the file. FORMAT.md 4.2.
 
+use std::ops::Range;
+
 use pulp::NullaryFnOnce;
 
 use super::Hdl64;
@@ -27,28 +29,27 @@ impl NullaryFnOnce for FileOrder<'_> {
     fn call(self) -> Vec<Return> {
         let FileOrder { image, scanner } = self;
         let mut returns = Vec::with_capacity(image.returns());
-        let mut of_row = vec![Return::default(); image.columns.len() + 1];
-        let mut azimuths = Vec::new();
+        // The returns of a row, with room at either end.
+        let mut of_row = vec![Return::default(); FEW + image.columns.len() + FEW];
+        let mut azimuths = vec![0.0; of_row.len()];
         for row in 0..image.steps.rows() {
             let first = scanner.first_column_tick(row);
             let first = image.columns.partition_point(|&column_tick| column_tick < first);
             let tick = scanner.ticks_of_columns(row);
-            let mut count = 0;
+            let mut end = FEW;
             for columns in [first..image.columns.len(), 0..first] {
                 let cells = image.steps.row(row)[columns.clone()].iter().zip(&image.columns[columns.clone()]);
                 // Without branches: each cell is written to the next entry, which the following one
                 // overwrites unless the cell holds a return.
                 for ((&steps, &column_tick), column) in cells.zip(columns.start as u32..) {
-                    of_row[count] =
-                        Return { row: row as u32, column, tick: tick(column_tick), steps, echo: 0 };
-                    count += usize::from(steps > 0);
+                    of_row[end] = Return { row: row as u32, column, tick: tick(column_tick), steps, echo: 0 };
+                    end += usize::from(steps > 0);
                 }
             }
-            let found = &mut of_row[..count];
-            azimuths.resize(count, 0.0);
-            scanner.fill_azimuths(row, found, |found| (found.tick, found.steps), &mut azimuths);
-            sort(&mut azimuths, found);
-            returns.extend_from_slice(found);
+            scanner.fill_azimuths(row, &of_row[FEW..end], &mut azimuths[FEW..end]);
+            let turned = turned_to_seam(&mut azimuths, &mut of_row, FEW..end);
+            sort(&mut azimuths[turned.clone()], &mut of_row[turned.clone()]);
+            returns.extend_from_slice(&of_row[turned]);
         }
         returns
     }
@@ -61,7 +62,6 @@ fn sort(azimuths: &mut [f64], returns: &mut [Return]) {
     const MOVES: usize = 4;
     /// Number of returns that are examined together.
     const BLOCK: usize = 8;
-    turn_to_seam(azimuths, returns);
     let mut moves = MOVES * returns.len();
     let mut next = 1;
     while next < returns.len() {
@@ -87,20 +87,30 @@ fn sort(azimuths: &mut [f64], returns: &mut [Return]) {
     }
 }
 
-/// Rotates a row so that it begins where azimuths pass 0. It nearly does already, but points near the seam
-/// may be at either end.
-fn turn_to_seam(azimuths: &mut [f64], returns: &mut [Return]) {
+/// The largest number of returns at the wrong end of a row.
+const FEW: usize = 100;
+
+/// Turns a row so that it begins where azimuths pass 0, and returns its new range. It nearly does already,
+/// but points near the seam may be at either end; they are copied to the other one, for which there must be
+/// room for [`FEW`].
+fn turned_to_seam(azimuths: &mut [f64], returns: &mut [Return], row: Range<usize>) -> Range<usize> {
     /// In radians: more than the difference of any azimuths that are out of order.
     const SEAM: f64 = 3.0;
-    /// The largest number of returns at the wrong end.
-    const FEW: usize = 100;
     let falls = |part: &[f64]| part.windows(2).rposition(|pair| pair[1] < pair[0] - SEAM);
-    let tail = azimuths.len().saturating_sub(FEW);
-    let last = falls(&azimuths[tail..]).map(|place| tail + place);
-    if let Some(last) = last.or_else(|| falls(&azimuths[..azimuths.len().min(FEW)])) {
-        azimuths.rotate_left(last + 1);
-        returns.rotate_left(last + 1);
-    }
+    let tail = row.start.max(row.end.saturating_sub(FEW));
+    let head = row.end.min(row.start + FEW);
+    let (wrong, at, turned) = if let Some(last) = falls(&azimuths[tail..row.end]) {
+        let moved = row.end - (tail + last + 1);
+        (row.end - moved..row.end, row.start - moved, row.start - moved..row.end - moved)
+    } else if let Some(last) = falls(&azimuths[row.start..head]) {
+        let moved = last + 1;
+        (row.start..row.start + moved, row.end, row.start + moved..row.end + moved)
+    } else {
+        return row;
+    };
+    azimuths.copy_within(wrong.clone(), at);
+    returns.copy_within(wrong, at);
+    turned
 }
 
 #[inline(always)]
@@ -130,18 +140,29 @@ mod tests {
         for pair in returns.windows(2).filter(|pair| pair[0].row == pair[1].row) {
             let [before, after] = [pair[0], pair[1]].map(|found| {
                 let mut azimuth = [0.0];
-                scanner.fill_azimuths(
-                    found.row as usize,
-                    &[found],
-                    |found| (found.tick, found.steps),
-                    &mut azimuth,
-                );
+                scanner.fill_azimuths(found.row as usize, &[found], &mut azimuth);
                 (azimuth[0], found)
             });
             assert!(compare(before, after).is_lt(), "{before:?} {after:?}");
             out_of_columns += usize::from(before.1.column > after.1.column);
         }
         assert!(out_of_columns > 100, "the image must have returns out of the columns' order");
+    }
+
+    #[test]
+    fn a_row_begins_at_the_seam() {
+        let found = |column: usize| Return { column: column as u32, ..Return::default() };
+        for (length, at) in [(5, 0), (5, 2), (5, 4), (150, 3), (150, 60), (900, 99), (900, 801), (900, 899)] {
+            // As many azimuths as `at` come before the seam.
+            let azimuth = |place: usize| if place < at { 6.0 } else { 0.1 } + 1e-4 * place as f64;
+            let mut azimuths = vec![0.0; FEW + length + FEW];
+            let mut returns = vec![Return::default(); FEW + length + FEW];
+            (0..length).for_each(|i| (azimuths[FEW + i], returns[FEW + i]) = (azimuth(i), found(i)));
+            let row = turned_to_seam(&mut azimuths, &mut returns, FEW..FEW + length);
+            let turned: Vec<usize> = (at..length).chain(0..at).collect();
+            assert_eq!(azimuths[row.clone()], turned.iter().map(|i| azimuth(*i)).collect::<Vec<_>>());
+            assert_eq!(returns[row], turned.iter().map(|i| found(*i)).collect::<Vec<_>>());
+        }
     }
 
     #[test]

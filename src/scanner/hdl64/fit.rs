@@ -445,7 +445,9 @@ impl FitFormula {
 
     #[inline(always)]
     fn at<const N: usize>(&self, points: &[Point; N]) -> Sites<N> {
-        let [x, y, z]: [[f64; N]; 3] = [0, 1, 2].map(|axis| lanes(|i| points[i].position[axis]));
+        let x: [f64; N] = lanes(|i| points[i].position[0]);
+        let y: [f64; N] = lanes(|i| points[i].position[1]);
+        let z: [f64; N] = lanes(|i| points[i].position[2]);
         let (rho_in_file, azimuth): ([f64; N], [f64; N]) =
             (lanes(|i| points[i].rho), lanes(|i| points[i].azimuth));
         let d: [f64; N] = lanes(|i| {
@@ -484,18 +486,20 @@ impl FitFormula {
         let phi_by_h: [f64; N] = lanes(|i| rho[i] / (rho[i] * rho[i] + self.h * self.h));
         let phi_by_rho: [f64; N] = lanes(|i| -self.h / (rho[i] * rho[i] + self.h * self.h));
         let rho_by_v: [f64; N] = lanes(|i| -d[i] * self.sin_v);
-        let of_axis = |ahead: &[f64; N], aside: &[f64; N]| -> [[f64; N]; 5] {
-            [
+        let back: [f64; N] = lanes(|i| -sin[i]);
+        // In a loop, because a closure that is called twice would not be compiled for the same vector unit.
+        let mut by_axis = [[[0.0; N]; 5]; 3];
+        for (by, (ahead, aside)) in by_axis.iter_mut().zip([(cos, &back), (sin, cos)]) {
+            *by = [
                 lanes(|i| ahead[i] * rho_by_v[i] + rho[i] * aside[i] * rho_by_v[i] * phi_by_rho[i]),
                 lanes(|i| ahead[i] + rho[i] * aside[i] * phi_by_rho[i]),
                 [0.0; N],
                 lanes(|i| rho[i] * aside[i] * phi_by_h[i]),
                 lanes(|i| rho[i] * aside[i]),
-            ]
-        };
-        let back: [f64; N] = lanes(|i| -sin[i]);
-        let z_by = [lanes(|i| d[i] * self.cos_v), [0.0; N], [1.0; N], [0.0; N], [0.0; N]];
-        [of_axis(cos, &back), of_axis(sin, cos), z_by]
+            ];
+        }
+        by_axis[2] = [lanes(|i| d[i] * self.cos_v), [0.0; N], [1.0; N], [0.0; N], [0.0; N]];
+        by_axis
     }
 }
 

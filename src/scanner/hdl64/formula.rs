@@ -3,13 +3,14 @@
 use std::f64::consts::TAU;
 
 use super::BeamConstants;
+use crate::ground::doubles::Real;
 use crate::ground::lanes::lanes;
 
-/// Cosine and sine of the angle of an azimuth tick.
+/// Cosine and sine of the angle of an azimuth tick, or of several.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Tick {
-    cos: f64,
-    sin: f64,
+pub(crate) struct Tick<V = f64> {
+    pub cos: V,
+    pub sin: V,
 }
 
 impl Tick {
@@ -45,41 +46,36 @@ impl Formula {
 
     /// z at horizontal distance `rho`, both in metres.
     #[inline(always)]
-    pub fn height_at(&self, rho: f64) -> f64 {
+    pub fn height_at<V: Real>(&self, rho: V) -> V {
         (rho - self.b) * self.slope + self.c
     }
 
     /// Cosine and sine of the beam's azimuth at a tick.
     #[inline(always)]
-    pub fn heading(&self, tick: &Tick) -> (f64, f64) {
-        let Tick { cos, sin } = tick;
+    pub fn heading<V: Real>(&self, Tick { cos, sin }: Tick<V>) -> (V, V) {
         (cos * self.cos_rot - sin * self.sin_rot, sin * self.cos_rot + cos * self.sin_rot)
     }
 
     /// The horizontal distance from the axis at a range, both in metres.
     #[inline(always)]
-    pub fn rho(&self, metres: f64) -> f64 {
+    pub fn rho<V: Real>(&self, metres: V) -> V {
         metres * self.cos_v + self.b
     }
 
     /// The range, in metres, at which the beam passes closest to a point at distance `rho` and height `z`.
     #[inline(always)]
-    pub fn range(&self, rho: f64, z: f64) -> f64 {
+    pub fn range<V: Real>(&self, rho: V, z: V) -> V {
         (rho - self.b) * self.cos_v + (z - self.c) * self.sin_v
     }
 
-    /// x, y and z, in metres, of `N` points, which vector units compute side by side.
+    /// x, y and z of a point, in metres.
     #[inline(always)]
-    pub fn points<const N: usize>(&self, ticks: [Tick; N], metres: [f64; N]) -> [[f64; N]; 3] {
-        let headings: [(f64, f64); N] = lanes(|i| self.heading(&ticks[i]));
-        let rho: [f64; N] = lanes(|i| self.rho(metres[i]));
+    pub fn point<V: Real>(&self, tick: Tick<V>, metres: V) -> [V; 3] {
+        let (cos, sin) = self.heading(tick);
+        let rho = self.rho(metres);
         // Rotated by atan(h / rho), whose cosine and sine are rho and h divided by their hypotenuse.
-        let along: [f64; N] = lanes(|i| rho[i] / (rho[i] * rho[i] + self.h * self.h).sqrt());
-        [
-            lanes(|i| along[i] * (headings[i].0 * rho[i] - headings[i].1 * self.h)),
-            lanes(|i| along[i] * (headings[i].1 * rho[i] + headings[i].0 * self.h)),
-            lanes(|i| metres[i] * self.sin_v + self.c),
-        ]
+        let along = rho / (rho * rho + self.h * self.h).sqrt();
+        [along * (cos * rho - sin * self.h), along * (sin * rho + cos * self.h), metres * self.sin_v + self.c]
     }
 
     /// phi: the azimuths of `N` points, in radians from 0 to 2 pi, given the angles of their ticks.

@@ -20,12 +20,13 @@ use std::sync::Arc;
 
 use super::formula::{Formula, Tick, small_atan};
 use super::single_precision::{Refinement, SingleBeam};
+use crate::ground::doubles::Array;
 use crate::ground::error::{Error, Result};
 use crate::ground::floats::round_ties_even;
 use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
 use crate::ground::varint::{read_signed, read_unsigned, read_within, write_signed, write_unsigned};
-use crate::scanner::{CoordinateGrid, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS};
+use crate::scanner::{CoordinateGrid, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, Return};
 
 /// The unit of quantised angles, in radians.
 const ANGLE_UNIT: f64 = 1.0 / (1u64 << 32) as f64;
@@ -213,7 +214,7 @@ impl Hdl64 {
     #[inline]
     pub fn direction(&self, row: usize, tick: u32) -> [f64; 3] {
         let beam = &self.beams[row];
-        let (x, y) = beam.heading(self.ticks_of_turn.get(tick));
+        let (x, y) = beam.heading(*self.ticks_of_turn.get(tick));
         [x * beam.cos_v, y * beam.cos_v, beam.sin_v]
     }
 
@@ -321,37 +322,25 @@ impl Hdl64 {
         }
     }
 
-    /// phi of the formula, in radians from 0 to 2 pi, for points of one row in the order of the file. `place`
-    /// gives the tick and the steps of each.
+    /// phi of the formula, in radians from 0 to 2 pi, for returns of one row in the order of the file.
     #[inline(always)]
-    pub fn fill_azimuths<P>(
-        &self,
-        row: usize,
-        points: &[P],
-        place: impl Fn(&P) -> (u32, u32),
-        azimuths: &mut [f64],
-    ) {
+    pub fn fill_azimuths(&self, row: usize, returns: &[Return], azimuths: &mut [f64]) {
         /// Number of points computed at a time.
         const LANES: usize = 8;
-        let (blocks, rest) = points.as_chunks::<LANES>();
+        let (blocks, rest) = returns.as_chunks::<LANES>();
         let (of_blocks, of_rest) = azimuths.as_chunks_mut::<LANES>();
         for (block, azimuths) in blocks.iter().zip(of_blocks) {
-            *azimuths = self.azimuths(row, block, &place);
+            *azimuths = self.azimuths(row, block);
         }
-        for (point, azimuth) in rest.iter().zip(of_rest) {
-            [*azimuth] = self.azimuths(row, std::array::from_ref(point), &place);
+        for (found, azimuth) in rest.iter().zip(of_rest) {
+            [*azimuth] = self.azimuths(row, std::array::from_ref(found));
         }
     }
 
     #[inline(always)]
-    fn azimuths<P, const N: usize>(
-        &self,
-        row: usize,
-        points: &[P; N],
-        place: impl Fn(&P) -> (u32, u32),
-    ) -> [f64; N] {
-        let metres = self.metres_of(lanes(|i| place(&points[i]).1));
-        self.beams[row].azimuths(lanes(|i| angle_of(place(&points[i]).0, self.ticks)), metres)
+    fn azimuths<const N: usize>(&self, row: usize, returns: &[Return; N]) -> [f64; N] {
+        let metres = self.metres_of(lanes(|i| returns[i].steps));
+        self.beams[row].azimuths(lanes(|i| angle_of(returns[i].tick, self.ticks)), metres)
     }
 
     /// The inverse of the formula, for the encoder: the azimuth tick and range steps nearest to a point of
@@ -410,45 +399,51 @@ impl Hdl64 {
     /// The formula for a range in metres that need not be a whole number of steps.
     #[inline]
     pub fn point_at(&self, row: usize, tick: u32, metres: f64) -> [f64; 3] {
-        let [[x], [y], [z]] = self.beams[row].points([*self.ticks_of_turn.get(tick)], [metres]);
-        [x, y, z]
+        self.beams[row].point(*self.ticks_of_turn.get(tick), metres)
     }
 
-    /// Computes the positions of points of beam `row` as accurately as the formula allows
-    /// ([`position_at`](Self::position_at)). `stored` converts a coordinate in metres to its stored form.
-    /// `place` gives the tick and the steps of each point; the points are `offset_m` metres farther away than
-    /// their steps.
+    /// Computes the positions of returns of beam `row` as accurately as the formula allows
+    /// ([`position_at`](Self::position_at)). `stored` converts a coordinate in metres to its stored form. The
+    /// points are `offset_m` metres farther away than their steps.
     #[inline(always)]
-    pub fn fill_positions<P>(
+    pub fn fill_positions(
         &self,
         row: usize,
-        (points, offset_m): (&[P], f64),
-        place: impl Fn(&P) -> (u32, u32),
+        (returns, offset_m): (&[Return], f64),
         stored: impl Fn(f64) -> f32,
         positions: &mut [[f32; 3]],
     ) {
         /// Number of points computed at a time.
         const LANES: usize = 8;
-        let (blocks, rest) = points.as_chunks::<LANES>();
+        let (blocks, rest) = returns.as_chunks::<LANES>();
         let (of_blocks, of_rest) = positions.as_chunks_mut::<LANES>();
         let single = self.single.get(row);
         for (block, positions) in blocks.iter().zip(of_blocks) {
-            let ticks: [u32; LANES] = lanes(|i| place(&block[i]).0);
-            let near: [f64; LANES] = self.metres_of(lanes(|i| place(&block[i]).1));
+            let ticks: [u32; LANES] = lanes(|i| block[i].tick);
+            let near: [f64; LANES] = self.metres_of(lanes(|i| block[i].steps));
             let metres: [f64; LANES] = lanes(|i| near[i] + offset_m);
             let [x, y, z]: [[f64; LANES]; 3] = match single {
                 Some(single) => {
                     let [x, y, z] = single.positions(ticks, metres);
                     [lanes(|i| x[i].into()), lanes(|i| y[i].into()), lanes(|i| z[i].into())]
                 }
-                None => self.beams[row].points(self.ticks_of_turn.at(ticks), metres),
+                None => self.points(row, ticks, metres),
             };
             *positions = lanes(|i| [stored(x[i]), stored(y[i]), stored(z[i])]);
         }
-        for (point, position) in rest.iter().zip(of_rest) {
-            let (tick, steps) = place(point);
-            *position = self.position_at(row, tick, self.metres(steps) + offset_m).map(&stored);
+        for (found, position) in rest.iter().zip(of_rest) {
+            let metres = self.metres(found.steps) + offset_m;
+            *position = self.position_at(row, found.tick, metres).map(&stored);
         }
+    }
+
+    /// x, y and z, in metres, of points of beam `row` by the formula.
+    #[inline(always)]
+    fn points<const N: usize>(&self, row: usize, ticks: [u32; N], metres: [f64; N]) -> [[f64; N]; 3] {
+        let ticks = self.ticks_of_turn.at(ticks);
+        let tick = Tick { cos: Array(lanes(|i| ticks[i].cos)), sin: Array(lanes(|i| ticks[i].sin)) };
+        let [Array(x), Array(y), Array(z)] = self.beams[row].point(tick, Array(metres));
+        [x, y, z]
     }
 
     /// The position as accurately as the formula allows, in metres; in single precision if the file was

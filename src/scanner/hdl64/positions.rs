@@ -57,8 +57,7 @@ fn fill(scanner: &Hdl64, returns: &[Return], offset_m: f64, stored: impl Fn(f64)
         let of_row = returns.partition_point(|found| found.row <= first.row).max(1);
         let (of_row, others) = returns.split_at(of_row);
         let (own, behind) = rest.split_at_mut(of_row.len());
-        let place = |found: &Return| (found.tick, found.steps);
-        scanner.fill_positions(first.row as usize, (of_row, offset_m), place, &stored, own);
+        scanner.fill_positions(first.row as usize, (of_row, offset_m), &stored, own);
         (returns, rest) = (others, behind);
     }
     positions

@@ -3,13 +3,16 @@
 
 use std::f64::consts::TAU;
 
-use pulp::NullaryFnOnce;
+use pulp::{Scalar, Simd, WithSimd};
 
 use super::Hdl64;
+use super::formula::Tick;
 use super::model::ON_CONE;
-use crate::ground::floats::{nearest_integer, round_ties_even};
+use crate::ground::doubles::{Doubles, Real};
+use crate::ground::floats::nearest_integer;
 use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
+use crate::ground::lazy_table::BLOCK;
 use crate::scan::{PointCloud, squared_distance};
 use crate::scanner::{EXACT_RANGE_BITS, FLOAT_RANGES, Projection, RangeImage};
 
@@ -131,18 +134,18 @@ struct Searching<'a> {
     positions: &'a [[f32; 3]],
 }
 
-impl NullaryFnOnce for Searching<'_> {
+impl WithSimd for Searching<'_> {
     type Output = Vec<Place>;
 
     #[inline(always)]
-    fn call(self) -> Vec<Place> {
+    fn with_simd<S: Simd>(self, simd: S) -> Vec<Place> {
         /// Number of points at a time.
         const BLOCK: usize = 8;
         let Searching { mut search, positions } = self;
         let mut places = Vec::with_capacity(positions.len());
         let (blocks, rest) = positions.as_chunks::<BLOCK>();
         for block in blocks {
-            match search.next(block) {
+            match search.next(simd, block) {
                 Some(found) => places.extend_from_slice(&found),
                 None => places.extend(block.iter().map(|point| search.next_one(point))),
             }
@@ -168,8 +171,8 @@ struct Search<'a> {
 impl Search<'_> {
     /// The cells of the next points, if all of them are near that of the last one.
     #[inline(always)]
-    fn next<const N: usize>(&mut self, points: &[[f32; 3]; N]) -> Option<[Place; N]> {
-        let found = self.scanner.invert_near(self.row, points, self.hint, self.reach)?;
+    fn next<S: Simd, const N: usize>(&mut self, simd: S, points: &[[f32; 3]; N]) -> Option<[Place; N]> {
+        let found = self.scanner.invert_near(simd, self.row, points, self.hint, self.reach)?;
         if found.iter().any(|(_, steps)| *steps > LONGEST) {
             return None;
         }
@@ -180,7 +183,7 @@ impl Search<'_> {
 
     /// The cell of the next point, wherever that is.
     fn next_one(&mut self, position: &[f32; 3]) -> Place {
-        if let Some([place]) = self.next(&[*position]) {
+        if let Some([place]) = self.next(Scalar::new(), &[*position]) {
             return place;
         }
         let point @ [x, y, z] = position.map(f64::from);
@@ -213,8 +216,9 @@ impl Hdl64 {
     /// `None` if any of them is not near it, is not on the file's grid, or deviates from the formula by
     /// `reach` metres or more along an axis.
     #[inline(always)]
-    fn invert_near<const N: usize>(
+    fn invert_near<S: Simd, const N: usize>(
         &self,
+        simd: S,
         row: usize,
         points: &[[f32; 3]; N],
         hint: u32,
@@ -224,29 +228,28 @@ impl Hdl64 {
         if self.range_step_um == FLOAT_RANGES || turn < 16.0 * NEAR {
             return None;
         }
-        let x: [f64; N] = lanes(|i| f64::from(points[i][0]));
-        let y: [f64; N] = lanes(|i| f64::from(points[i][1]));
-        let z: [f64; N] = lanes(|i| f64::from(points[i][2]));
-        let rho: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt());
-        let (cos, sin) = beam.heading(self.ticks_of_turn.get(hint));
-        let turned: [f64; N] = lanes(|i| (y[i] * cos - x[i] * sin - beam.h) / rho[i] * (turn * (1.0 / TAU)));
-        let steps: [f64; N] =
-            lanes(|i| round_ties_even(beam.range(rho[i], z[i]) * (1e6 / f64::from(self.range_step_um))));
-        let most = f64::from(self.most_steps());
-        let is_expected = |i: usize| {
-            ((beam.height_at(rho[i]) - z[i]).abs() < ON_CONE)
-                & (turned[i].abs() < NEAR)
-                & (x[i] * cos + y[i] * sin > 0.0)
-                & (steps[i] >= 1.0)
-                & (steps[i] <= most)
-        };
-        // Loops rather than calls of iterators and arrays, which would not be compiled for the same vector unit.
-        let mut all_expected = true;
-        for i in 0..N {
-            all_expected &= is_expected(i);
-        }
-        if !all_expected {
-            return None;
+        let (cos, sin) = beam.heading(*self.ticks_of_turn.get(hint));
+        let (mut turned, mut steps, mut values) = ([0.0; N], [0.0; N], [[0.0; N]; 3]);
+        for part in 0..N / S::F64_LANES {
+            let first = part * S::F64_LANES;
+            let along = |axis: usize| Doubles::of(simd, |lane| f64::from(points[first + lane][axis]));
+            let (x, y, z) = (along(0), along(1), along(2));
+            let rho = (x * x + y * y).sqrt();
+            let ticks = (y * cos - x * sin - beam.h) / rho * (turn * (1.0 / TAU));
+            let range = (beam.range(rho, z) * (1e6 / f64::from(self.range_step_um))).round_ties_even();
+            let is_expected = (beam.height_at(rho) - z).abs().is_below(ON_CONE)
+                & ticks.abs().is_below(NEAR)
+                & (x * cos + y * sin).is_above(0.0)
+                & range.is_above(0.0)
+                & range.is_below(f64::from(self.most_steps()) + 1.0);
+            if !is_expected.all() {
+                return None;
+            }
+            ticks.store(&mut turned, part);
+            range.store(&mut steps, part);
+            x.store(&mut values[0], part);
+            y.store(&mut values[1], part);
+            z.store(&mut values[2], part);
         }
         let ticks: [u32; N] = lanes(|i| {
             let tick = hint as i32 + nearest_integer(turned[i]);
@@ -254,17 +257,59 @@ impl Hdl64 {
             (tick + self.ticks as i32 * (i32::from(first) - i32::from(end))) as u32
         });
         let metres: [f64; N] = lanes(|i| steps[i] * self.range_step_m());
-        let formula = beam.points(self.ticks_of_turn.at(ticks), metres);
-        let mut all_near = true;
-        for i in 0..N {
-            all_near &= (formula[0][i] - x[i]).abs() < reach;
-            all_near &= (formula[1][i] - y[i]).abs() < reach;
-            all_near &= (formula[2][i] - z[i]).abs() < reach;
+        let mut formula = [[0.0; N]; 3];
+        self.compute_points(simd, row, &ticks, &metres, &mut formula);
+        for part in 0..N / S::F64_LANES {
+            let load = |values: &[f64; N]| Doubles::load(simd, values, part);
+            let miss = |axis: usize| (load(&formula[axis]) - load(&values[axis])).abs();
+            let is_near = miss(0).is_below(reach) & miss(1).is_below(reach) & miss(2).is_below(reach);
+            if !is_near.all() {
+                return None;
+            }
         }
-        all_near &= self.coordinates.holds_all(&x, &formula[0]);
-        all_near &= self.coordinates.holds_all(&y, &formula[1]);
-        all_near &= self.coordinates.holds_all(&z, &formula[2]);
-        all_near.then(|| lanes(|i| (ticks[i], nearest_integer(steps[i]) as u32)))
+        let on_grid = self.coordinates.holds_all(&values[0], &formula[0])
+            & self.coordinates.holds_all(&values[1], &formula[1])
+            & self.coordinates.holds_all(&values[2], &formula[2]);
+        on_grid.then(|| lanes(|i| (ticks[i], nearest_integer(steps[i]) as u32)))
+    }
+
+    /// Computes x, y and z, in metres, of points of one beam by the formula.
+    #[inline(always)]
+    fn compute_points<S: Simd, const N: usize>(
+        &self,
+        simd: S,
+        row: usize,
+        ticks: &[u32; N],
+        metres: &[f64; N],
+        points: &mut [[f64; N]; 3],
+    ) {
+        let Some(block) = self.ticks_of_turn.block_of(ticks) else {
+            return self.compute_points_one_by_one(row, ticks, metres, points);
+        };
+        for part in 0..N / S::F64_LANES {
+            let tick = |lane: usize| &block[ticks[part * S::F64_LANES + lane] as usize % BLOCK];
+            let (cos, sin) = (Doubles::of(simd, |i| tick(i).cos), Doubles::of(simd, |i| tick(i).sin));
+            let [x, y, z] = self.beams[row].point(Tick { cos, sin }, Doubles::load(simd, metres, part));
+            x.store(&mut points[0], part);
+            y.store(&mut points[1], part);
+            z.store(&mut points[2], part);
+        }
+    }
+
+    /// The same, for ticks in several blocks of the table. Not inlined, so that vectors are not divided into
+    /// the values that are computed here.
+    #[inline(never)]
+    fn compute_points_one_by_one<const N: usize>(
+        &self,
+        row: usize,
+        ticks: &[u32; N],
+        metres: &[f64; N],
+        points: &mut [[f64; N]; 3],
+    ) {
+        for i in 0..N {
+            let point = self.point_at(row, ticks[i], metres[i]);
+            (0..3).for_each(|axis| points[axis][i] = point[axis]);
+        }
     }
 }
 
@@ -282,7 +327,7 @@ mod tests {
         let reach = REACH + 0.5 * scanner.range_step_m();
         let search = Search { scanner: &scanner, reach, row: 0, tick: 0, hint: 0 };
         let cloud = PointCloud { positions, ..PointCloud::default() };
-        let anywhere = Searching { search, positions: &cloud.positions }.call();
+        let anywhere = Searching { search, positions: &cloud.positions }.with_simd(Scalar::new());
         assert!(places(&scanner, &cloud, reach) == anywhere);
         assert_eq!(project(&scanner, &cloud, REACH).image, image);
     }
