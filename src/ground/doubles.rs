@@ -64,8 +64,8 @@ pub struct Mask<S: Simd> {
 }
 
 impl<S: Simd> Doubles<S> {
-    /// The value of each lane. Arrays that are filled value by value should not be loaded instead: a processor
-    /// waits until all that was written is in the cache.
+    /// A vector whose lanes are computed one by one. To fill an array first and load that would be slower: the
+    /// processor waits until all values are in the cache.
     #[inline(always)]
     pub fn of(simd: S, value: impl Fn(usize) -> f64) -> Self {
         let mut values = simd.splat_f64s(0.0);
