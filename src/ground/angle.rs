@@ -4,8 +4,8 @@
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
+use super::doubles::Choose;
 use super::floats::round_ties_even;
-use super::lanes::lanes;
 
 /// The tangent of pi / 8.
 const EIGHTH: f64 = 0.414_213_562_373_095_03;
@@ -24,19 +24,25 @@ const ATAN: [f64; 9] = [
 
 /// The angle from the x axis to a point, in radians from -pi to pi, to within 2e-14; 0 for the origin.
 #[inline(always)]
-pub fn atan2(y: f64, x: f64) -> f64 {
+pub fn atan2<V: Choose>(y: V, x: V) -> V {
+    let value = |value: f64| x.splat(value);
     let (ahead, aside) = (x.abs(), y.abs());
-    let is_flat = aside <= ahead;
-    let (small, large) = if is_flat { (aside, ahead) } else { (ahead, aside) };
+    let is_flat = aside.is_at_most(ahead);
+    let (small, large) = (V::select(is_flat, aside, ahead), V::select(is_flat, ahead, aside));
     // The angle from the nearest axis or diagonal is at most pi / 8.
-    let is_diagonal = small > EIGHTH * large;
-    let (above, below) = if is_diagonal { (small - large, small + large) } else { (small, large) };
-    let tangent = if below > 0.0 { above / below } else { 0.0 };
+    let is_near_axis = small.is_at_most(large * EIGHTH);
+    let above = V::select(is_near_axis, small, small - large);
+    let below = V::select(is_near_axis, large, small + large);
+    let tangent = V::select(below.is_above(0.0), above / below, value(0.0));
     let square = tangent * tangent;
-    let ratio = ATAN.iter().rev().fold(0.0, |sum, coefficient| sum * square + coefficient);
-    let angle = tangent * ratio + if is_diagonal { FRAC_PI_4 } else { 0.0 };
-    let angle = if is_flat { angle } else { FRAC_PI_2 - angle };
-    let angle = if x < 0.0 { PI - angle } else { angle };
+    // Not by an iterator, whose functions would be called outside the vector unit's code.
+    let mut ratio = value(ATAN[ATAN.len() - 1]);
+    for power in (0..ATAN.len() - 1).rev() {
+        ratio = ratio * square + ATAN[power];
+    }
+    let angle = tangent * ratio + V::select(is_near_axis, value(0.0), value(FRAC_PI_4));
+    let angle = V::select(is_flat, angle, value(FRAC_PI_2) - angle);
+    let angle = V::select(x.is_below(0.0), value(PI) - angle, angle);
     // The sign of a zero decides between pi and -pi.
     angle.copysign(y)
 }
@@ -44,15 +50,15 @@ pub fn atan2(y: f64, x: f64) -> f64 {
 /// Cosines and sines of angles below a hundredth of a radian, to within 1e-15; if any angle is larger, all
 /// are computed exactly.
 #[inline(always)]
-pub fn small_cos_sin<const N: usize>(angles: [f64; N]) -> [[f64; N]; 2] {
+pub fn small_cos_sin<V: Choose>(angle: V) -> [V; 2] {
     const SMALL: f64 = 0.01;
-    if angles.iter().any(|angle| angle.abs() >= SMALL) {
-        return [lanes(|i| libm::cos(angles[i])), lanes(|i| libm::sin(angles[i]))];
+    if V::any(angle.abs().is_above(SMALL)) {
+        return [angle.map(libm::cos), angle.map(libm::sin)];
     }
-    let squares: [f64; N] = lanes(|i| angles[i] * angles[i]);
-    let cos = |square: f64| 1.0 - square * (0.5 - square * (1.0 / 24.0 - square / 720.0));
-    let sin = |angle: f64, square: f64| angle * (1.0 - square * (1.0 / 6.0 - square / 120.0));
-    [lanes(|i| cos(squares[i])), lanes(|i| sin(angles[i], squares[i]))]
+    let square = angle * angle;
+    let cos = ((square * (-1.0 / 720.0) + 1.0 / 24.0) * square - 0.5) * square + 1.0;
+    let sin = ((square * (1.0 / 120.0) - 1.0 / 6.0) * square + 1.0) * angle;
+    [cos, sin]
 }
 
 /// Cosine and sine of an angle of up to half a radian, to within 2e-16; free of branches, so that it can be
@@ -137,7 +143,7 @@ mod tests {
     fn small_angles_are_exact_to_the_last_bits() {
         for step in -3000..3000 {
             let angle = f64::from(step) * 1e-5;
-            let [[cos], [sin]] = small_cos_sin([angle]);
+            let [cos, sin] = small_cos_sin(angle);
             assert!(
                 (cos - libm::cos(angle)).abs() < 1e-15 && (sin - libm::sin(angle)).abs() < 1e-15,
                 "{angle}"

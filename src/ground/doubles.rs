@@ -31,10 +31,92 @@ pub trait Real:
     }
 }
 
+/// [`Real`] values that can be compared, so that formulas choose between results instead of branching.
+pub trait Choose: Real {
+    /// What holds for which of the values.
+    type Mask: Copy + BitAnd<Output = Self::Mask>;
+
+    /// Copies of one value, as many as this has.
+    fn splat(self, value: f64) -> Self;
+
+    /// The magnitudes.
+    fn abs(self) -> Self;
+
+    /// These magnitudes, with the signs of other values.
+    fn copysign(self, signs: Self) -> Self;
+
+    /// Where the values are less than others, or equal; nowhere for NaN.
+    fn is_at_most(self, other: Self) -> Self::Mask;
+
+    /// Where the values are less than `most`; nowhere for NaN.
+    fn is_below(self, most: f64) -> Self::Mask;
+
+    /// Where the values are more than `least`; nowhere for NaN.
+    fn is_above(self, least: f64) -> Self::Mask;
+
+    /// The first values where the mask holds, the second ones elsewhere.
+    fn select(mask: Self::Mask, holds: Self, elsewhere: Self) -> Self;
+
+    /// Whether it holds for any.
+    fn any(mask: Self::Mask) -> bool;
+
+    /// A function of each value.
+    fn map(self, function: impl Fn(f64) -> f64) -> Self;
+}
+
 impl Real for f64 {
     #[inline(always)]
     fn sqrt(self) -> f64 {
         f64::sqrt(self)
+    }
+}
+
+impl Choose for f64 {
+    type Mask = bool;
+
+    #[inline(always)]
+    fn splat(self, value: f64) -> f64 {
+        value
+    }
+
+    #[inline(always)]
+    fn abs(self) -> f64 {
+        f64::abs(self)
+    }
+
+    #[inline(always)]
+    fn copysign(self, signs: f64) -> f64 {
+        f64::copysign(self, signs)
+    }
+
+    #[inline(always)]
+    fn is_at_most(self, other: f64) -> bool {
+        self <= other
+    }
+
+    #[inline(always)]
+    fn is_below(self, most: f64) -> bool {
+        self < most
+    }
+
+    #[inline(always)]
+    fn is_above(self, least: f64) -> bool {
+        self > least
+    }
+
+    #[inline(always)]
+    fn select(mask: bool, holds: f64, elsewhere: f64) -> f64 {
+        if mask { holds } else { elsewhere }
+    }
+
+    #[inline(always)]
+    fn any(mask: bool) -> bool {
+        mask
+    }
+
+    #[inline(always)]
+    fn map(self, function: impl Fn(f64) -> f64) -> f64 {
+        function(self)
     }
 }
 
@@ -89,32 +171,72 @@ impl<S: Simd> Doubles<S> {
         const { assert!(N.is_multiple_of(S::F64_LANES)) };
         S::as_mut_simd_f64s(values).0[part] = self.values;
     }
-
-    /// The magnitudes.
-    #[inline(always)]
-    pub fn abs(self) -> Self {
-        Doubles { values: self.simd.abs_f64s(self.values), ..self }
-    }
-
-    /// Where the values are less than `most`; nowhere for NaN.
-    #[inline(always)]
-    pub fn is_below(self, most: f64) -> Mask<S> {
-        let Doubles { simd, values } = self;
-        Mask { simd, values: simd.less_than_f64s(values, simd.splat_f64s(most)) }
-    }
-
-    /// Where the values are more than `least`; nowhere for NaN.
-    #[inline(always)]
-    pub fn is_above(self, least: f64) -> Mask<S> {
-        let Doubles { simd, values } = self;
-        Mask { simd, values: simd.less_than_f64s(simd.splat_f64s(least), values) }
-    }
 }
 
 impl<S: Simd> Real for Doubles<S> {
     #[inline(always)]
     fn sqrt(self) -> Self {
         Doubles { values: self.simd.sqrt_f64s(self.values), ..self }
+    }
+}
+
+impl<S: Simd> Choose for Doubles<S> {
+    type Mask = Mask<S>;
+
+    #[inline(always)]
+    fn splat(self, value: f64) -> Self {
+        Doubles { values: self.simd.splat_f64s(value), ..self }
+    }
+
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Doubles { values: self.simd.abs_f64s(self.values), ..self }
+    }
+
+    #[inline(always)]
+    fn copysign(self, signs: Self) -> Self {
+        let Doubles { simd, values } = self;
+        let sign = simd.splat_f64s(-0.0);
+        let magnitude = simd.and_f64s(simd.not_f64s(sign), values);
+        Doubles { values: simd.or_f64s(magnitude, simd.and_f64s(sign, signs.values)), ..self }
+    }
+
+    #[inline(always)]
+    fn is_at_most(self, other: Self) -> Mask<S> {
+        let Doubles { simd, values } = self;
+        Mask { simd, values: simd.less_than_or_equal_f64s(values, other.values) }
+    }
+
+    #[inline(always)]
+    fn is_below(self, most: f64) -> Mask<S> {
+        let Doubles { simd, values } = self;
+        Mask { simd, values: simd.less_than_f64s(values, simd.splat_f64s(most)) }
+    }
+
+    #[inline(always)]
+    fn is_above(self, least: f64) -> Mask<S> {
+        let Doubles { simd, values } = self;
+        Mask { simd, values: simd.less_than_f64s(simd.splat_f64s(least), values) }
+    }
+
+    #[inline(always)]
+    fn select(mask: Mask<S>, holds: Self, elsewhere: Self) -> Self {
+        Doubles { values: holds.simd.select_f64s(mask.values, holds.values, elsewhere.values), ..holds }
+    }
+
+    #[inline(always)]
+    fn any(mask: Mask<S>) -> bool {
+        let Mask { simd, values } = mask;
+        let ones = simd.select_f64s(values, simd.splat_f64s(1.0), simd.splat_f64s(0.0));
+        simd.reduce_max_f64s(ones) > 0.0
+    }
+
+    #[inline(always)]
+    fn map(self, function: impl Fn(f64) -> f64) -> Self {
+        let Doubles { simd, mut values } = self;
+        let lanes: &mut [f64] = bytemuck::cast_slice_mut(std::slice::from_mut(&mut values));
+        lanes.iter_mut().for_each(|value| *value = function(*value));
+        Doubles { simd, values }
     }
 }
 

@@ -42,24 +42,25 @@ pub struct BlankModel {
 }
 
 impl BlankModel {
-    /// Codes the positions of a frame's blanks, in the order of the file. `formula` gives the positions by
-    /// the scanner's formula at a range of 0.
-    pub fn code<'p, C: BitCoder>(
+    /// Codes the positions of a frame's blanks, in the order of the file. `formula` gives the position of each
+    /// by the scanner's formula at a range of 0.
+    pub fn code<C: BitCoder>(
         &mut self,
         coder: &mut C,
-        blanks: impl Iterator<Item = ([f32; 3], &'p mut [f32; 3])>,
+        formula: impl Fn(usize) -> [f32; 3],
+        positions: &mut [[f32; 3]],
     ) {
         let same = |a: &[f32; 3], b: &[f32; 3]| a.map(f32::to_bits) == b.map(f32::to_bits);
         let mut kind = Kind::Formula;
         let mut kept = [[0.0; 3]; KEPT];
         // Which of these the last blank without the formula's position has.
         let mut last = 0;
-        for (formula, position) in blanks {
+        for (blank, position) in positions.iter_mut().enumerate() {
             if coder.is_exhausted() {
                 return;
             }
             let is = |kind: Kind| match kind {
-                Kind::Formula => same(position, &formula),
+                Kind::Formula => same(position, &formula(blank)),
                 Kind::Kept(slot) => same(position, &kept[slot]),
                 Kind::Other => true,
             };
@@ -70,7 +71,7 @@ impl BlankModel {
             };
             kind = self.code_kind(coder, kind, wanted);
             match kind {
-                Kind::Formula => *position = formula,
+                Kind::Formula => *position = formula(blank),
                 Kind::Kept(slot) => {
                     *position = kept[slot];
                     last = slot;

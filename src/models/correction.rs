@@ -149,37 +149,45 @@ const GAP: usize = 0;
 /// Number of contexts of a correction.
 pub const CORRECTION_CONTEXTS: usize = 4;
 
-/// Corrects positions, which are on a grid (metres), given the formula's positions. The encoder replaces a
-/// position by that in `wanted` if the two differ or, if an error is allowed, are farther apart than it. As
-/// tokens: the number of points without a correction, then the correction of the next point, in units of the
-/// grid.
+/// Corrects positions, which are on a grid (metres), given the formula's positions: those with these numbers,
+/// in ascending order, or all. The encoder replaces a position by that in `wanted` if the two differ or, if an
+/// error is allowed, are farther apart than it. As tokens: the number of points without a correction, then the
+/// correction of the next point, in units of the grid.
 pub fn correct_positions<C: TokenCoder>(
     coder: &mut C,
     grid: CoordinateGrid,
     formula: impl Fn(usize) -> [f64; 3],
     (wanted, max_error): (&[[f32; 3]], Option<f64>),
-    positions: &mut [[f32; 3]],
+    (positions, numbers): (&mut [[f32; 3]], Option<&[u32]>),
 ) {
     let is_corrected = |wanted: &[f32; 3], position: &[f32; 3]| {
         let same = position.map(f32::to_bits) == wanted.map(f32::to_bits);
         !same && max_error.is_none_or(|max| squared_distance(position, wanted).sqrt() > max)
     };
-    let (mut next, end) = (0, positions.len());
+    let at = |point: usize| numbers.map_or(point, |numbers| numbers[point] as usize);
+    let end = numbers.map_or(positions.len(), <[u32]>::len);
+    let mut next = 0;
     loop {
         // In a decoder `wanted` is empty, and the number comes from the stream.
-        let known = wanted.iter().zip(&*positions).skip(next);
-        let gap = known.take_while(|(wanted, position)| !is_corrected(wanted, position)).count();
+        let is_right = |point: &usize| {
+            let wanted = wanted.get(at(*point));
+            wanted.is_some_and(|wanted| !is_corrected(wanted, &positions[at(*point)]))
+        };
+        let gap = (next..end).take_while(is_right).count();
         let gap = coder.number(GAP, gap as u64).min((end - next) as u64) as usize;
-        let point = next + gap;
-        let Some(position) = positions.get_mut(point).filter(|_| !coder.is_exhausted()) else { return };
+        next += gap;
+        if next == end || coder.is_exhausted() {
+            return;
+        }
+        let point = at(next);
         let formula = formula(point);
         for axis in 0..3 {
             let unit = grid.unit_of(formula[axis]);
             let file = wanted.get(point).map_or(0.0, |wanted| wanted[axis]);
             let correction = grid.unit_of(f64::from(file)).wrapping_sub(unit);
             let correction = unzigzag(coder.number(1 + axis, zigzag(correction) & ((1 << 60) - 1)));
-            position[axis] = grid.value(unit.wrapping_add(correction), formula[axis]);
+            positions[point][axis] = grid.value(unit.wrapping_add(correction), formula[axis]);
         }
-        next = point + 1;
+        next += 1;
     }
 }

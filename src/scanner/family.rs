@@ -467,9 +467,4 @@ impl Scanner {
             }
         }
     }
-
-    /// As [`position`](Self::position), as float32.
-    pub fn single_position(&self, found: &Return) -> [f32; 3] {
-        self.position(found, 0.0).map(|metres| if metres.is_nan() { 0.0 } else { metres as f32 })
-    }
 }

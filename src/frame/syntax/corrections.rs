@@ -1,6 +1,8 @@
 //! The positions of the returns: those of the formula, corrected as far as necessary; and those of the
 //! blanks. FORMAT.md 8.7 and 8.19.
 
+use std::cell::LazyCell;
+
 use crate::container::SectionKind;
 use crate::entropy::TokenTables;
 use crate::frame::fidelity::PositionFidelity;
@@ -32,38 +34,35 @@ impl CorrectionModels {
     ) -> Result<()> {
         let Some(scanner) = scanner else { return Ok(()) };
         if !frame.image.is_full {
-            return self.code_returns(sections, scanner, frame);
+            return self.code_returns(sections, scanner, frame, None);
         }
-        // The blanks are taken out: they are coded after the returns.
-        let all = std::mem::take(&mut frame.returns);
-        let is_return = |found: &&Return| found.steps > 0;
-        frame.returns = all.iter().filter(is_return).copied().collect();
-        let mut positions = std::mem::take(&mut frame.positions);
-        positions.resize(all.len(), [0.0; 3]);
-        let returns = all.iter().zip(&positions).filter(|(found, _)| is_return(found));
-        frame.positions = returns.map(|(_, position)| *position).collect();
-        self.code_returns(sections, scanner, frame)?;
-        let in_image = all.iter().zip(&mut positions);
-        in_image
-            .filter(|(found, _)| is_return(found))
-            .zip(&frame.positions)
-            .for_each(|((_, position), coded)| *position = *coded);
-        frame.returns = all;
-        frame.positions = positions;
-        let blanks = frame.returns.iter().zip(&mut frame.positions).filter(|(found, _)| found.steps == 0);
-        let with_formula = blanks.map(|(found, position)| (scanner.single_position(found), position));
+        let is_return = |number: &u32| frame.returns[*number as usize].steps > 0;
+        let (returns, blanks): (Vec<u32>, Vec<u32>) = (0..frame.returns.len() as u32).partition(is_return);
+        let position = |blank: &u32| frame.positions.get(*blank as usize).copied().unwrap_or_default();
+        let mut positions: Vec<[f32; 3]> = blanks.iter().map(position).collect();
+        self.code_returns(sections, scanner, frame, Some(&returns))?;
+        let all = &frame.returns;
+        let formula = LazyCell::new(|| {
+            let blanks: Vec<Return> = blanks.iter().map(|&blank| all[blank as usize]).collect();
+            scanner.positions(&blanks, 0.0, false)
+        });
         sections.section(SectionKind::Blanks, !frame.blanks.is_empty(), |coder| {
-            self.blanks.code(coder, with_formula);
+            self.blanks.code(coder, |blank| formula[blank], &mut positions);
             Ok(())
-        })
+        })?;
+        let coded = blanks.iter().zip(positions);
+        coded.for_each(|(&blank, position)| frame.positions[blank as usize] = position);
+        Ok(())
     }
 
-    /// Codes the positions of the returns.
+    /// Codes the positions of the returns: of those with these numbers, or of all. Other positions become
+    /// arbitrary.
     fn code_returns<S: SectionCoder>(
         &mut self,
         sections: &mut S,
         scanner: &Scanner,
         frame: &mut FrameParts,
+        numbers: Option<&[u32]>,
     ) -> Result<()> {
         let grid = scanner.coordinates();
         let offset_m = frame.parameters.range_coder.offset_m(scanner);
@@ -93,22 +92,26 @@ impl CorrectionModels {
                 CORRECTION_CONTEXTS,
                 &mut self.tokens,
                 |coder| {
-                    correct_positions(coder, grid, formula, (&wanted, max_error), positions);
+                    correct_positions(coder, grid, formula, (&wanted, max_error), (positions, numbers));
                 },
             );
         }
         positions.resize(returns.len(), [0.0; 3]);
         let model = &mut self.adaptive;
         sections.section(SectionKind::Correction, true, |coder| {
+            let count = numbers.map_or(returns.len(), <[u32]>::len);
+            let at = |point: usize| numbers.map_or(point, |numbers| numbers[point] as usize);
             if grid == CoordinateGrid::Millimetre && max_error.is_none() {
                 // Whether a point is corrected depends on its distances from the rounding boundaries.
-                let points = returns.iter().zip(positions);
-                points.for_each(|(found, position)| model.correct(coder, grid, formula(found), position));
+                for point in (0..count).map(at) {
+                    model.correct(coder, grid, formula(&returns[point]), &mut positions[point]);
+                }
                 return Ok(());
             }
             let near = scanner.positions(returns, offset_m, on_grid);
-            for ((found, position), near) in returns.iter().zip(positions).zip(near) {
-                model.code(coder, grid, || formula(found), (near, max_error), position);
+            for point in (0..count).map(at) {
+                let formula = || formula(&returns[point]);
+                model.code(coder, grid, formula, (near[point], max_error), &mut positions[point]);
             }
             Ok(())
         })

@@ -46,10 +46,11 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use pulp::NullaryFnOnce;
+use pulp::{NullaryFnOnce, Simd};
 
 use crate::ground::angle;
-use crate::ground::floats::{nearest_integer, round_ties_even};
+use crate::ground::doubles::{Choose, Doubles};
+use crate::ground::floats::round_ties_even;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::scanner::hdl64::{BeamConstants, Hdl64};
 use crate::scanner::{CoordinateGrid, RangeImage, Return, median};
@@ -82,21 +83,21 @@ impl Laser {
     }
 }
 
-/// The direction of a laser, for locating its measurements.
+/// The direction of a laser, or of several, for locating their measurements.
 #[derive(Clone, Copy, Debug, Default)]
-struct Bearing {
+struct Bearing<V = f64> {
     /// Cosine and sine of E.
-    cos: f64,
-    sin: f64,
+    cos: V,
+    sin: V,
     /// O, in radians.
-    offset: f64,
+    offset: V,
     /// Where its beam starts: metres beside the axis and ahead of it, relative to the azimuth of the beam.
-    beside: f64,
-    ahead: f64,
+    beside: V,
+    ahead: V,
     /// Metres above the origin.
-    up: f64,
+    up: V,
     /// By how many metres a range is more than the distance from there.
-    farther: f64,
+    farther: V,
 }
 
 impl Bearing {
@@ -118,14 +119,32 @@ impl Bearing {
     }
 }
 
-/// The measurements of lasers that are nearest to some points.
+impl<S: Simd> Bearing<Doubles<S>> {
+    /// Those of the lasers of some rows.
+    #[inline(always)]
+    fn of_rows(simd: S, bearings: &[Bearing], row: impl Fn(usize) -> usize) -> Self {
+        let all = |value: fn(&Bearing) -> f64| Doubles::of(simd, |lane| value(&bearings[row(lane)]));
+        Bearing {
+            cos: all(|bearing| bearing.cos),
+            sin: all(|bearing| bearing.sin),
+            offset: all(|bearing| bearing.offset),
+            beside: all(|bearing| bearing.beside),
+            ahead: all(|bearing| bearing.ahead),
+            up: all(|bearing| bearing.up),
+            farther: all(|bearing| bearing.farther),
+        }
+    }
+}
+
+/// The measurement of a laser that is nearest to a point, or those of several lasers.
 #[derive(Clone, Copy, Debug)]
-struct Measurements<const N: usize> {
-    /// Whole numbers; below 1 if there is no such measurement.
-    steps: [f64; N],
-    tick: [u32; N],
+struct Measurement<V> {
+    /// A whole number; below 1 if there is no such measurement.
+    steps: V,
+    /// A whole number below that of a turn; anything else if the azimuth is too large or not a number.
+    tick: V,
     /// Radians from the tick to the point.
-    aside: [f64; N],
+    aside: V,
 }
 
 /// The properties of a scanner of firings that all its lasers share.
@@ -351,75 +370,55 @@ impl Firings {
     /// The measurement of this laser that is nearest to a position in metres, in steps and ticks; `None` if
     /// there is no such range.
     fn locate(&self, row: usize, position: [f64; 3]) -> Option<(u32, u32)> {
-        let Measurements { steps: [steps], tick: [tick], .. } =
-            self.locate_all(&[row], &position.map(|v| [v]));
-        (steps >= 1.0 && steps < f64::from(MOST_LOCATED)).then_some((steps as u32, tick))
+        let measured = self.measure(&self.bearings[row], position);
+        let is_one = self.is_measured(&measured) && measured.steps < f64::from(MOST_LOCATED);
+        is_one.then_some((measured.steps as u32, measured.tick as u32))
     }
 
-    /// The same for several positions, each measured by a laser of its own.
+    /// The measurements that are nearest to positions in metres, each by a laser of its own.
     #[inline(always)]
-    fn locate_all<const N: usize>(&self, rows: &[usize; N], [x, y, z]: &[[f64; N]; 3]) -> Measurements<N> {
-        let bearing: [Bearing; N] = lanes(|i| self.bearings[rows[i]]);
-        let flat: [f64; N] = lanes(|i| x[i] * x[i] + y[i] * y[i]);
-        let azimuth = self.build.recipe.azimuths(x, y);
-        let (metres, azimuth): ([f64; N], [f64; N]) = if self.build.origin == Origin::default() {
-            (lanes(|i| (flat[i] + z[i] * z[i]).sqrt()), azimuth)
+    fn measure<V: Choose>(&self, bearing: &Bearing<V>, [x, y, z]: [V; 3]) -> Measurement<V> {
+        let flat = x * x + y * y;
+        let mut azimuth = self.build.recipe.azimuth(x, y);
+        let metres = if self.build.origin == Origin::default() {
+            (flat + z * z).sqrt()
         } else {
-            let beside: [f64; N] = lanes(|i| bearing[i].beside);
-            let past: [f64; N] = lanes(|i| (flat[i] - beside[i] * beside[i]).max(0.0).sqrt());
-            let metres: [f64; N] = lanes(|i| {
-                (past[i] - bearing[i].ahead) * bearing[i].cos + (z[i] - bearing[i].up) * bearing[i].sin
-            });
-            let ahead: [f64; N] = lanes(|i| past[i] - bearing[i].ahead + bearing[i].ahead);
-            (
-                lanes(|i| metres[i] + bearing[i].farther),
-                lanes(|i| azimuth[i] + angle::atan2(beside[i], ahead[i])),
-            )
+            let beside = bearing.beside;
+            let past = flat - beside * beside;
+            let past = V::select(past.is_above(0.0), past, past.splat(0.0)).sqrt();
+            let ahead = past - bearing.ahead;
+            azimuth = azimuth + angle::atan2(beside, ahead + bearing.ahead);
+            ahead * bearing.cos + (z - bearing.up) * bearing.sin + bearing.farther
         };
-        let (step, radians) = (self.range_step_m(), self.radians());
-        let azimuth: [f64; N] = lanes(|i| azimuth[i] - bearing[i].offset);
-        let ticks: [f64; N] = lanes(|i| round_ties_even(azimuth[i] / radians));
         let turn = f64::from(self.build.ticks);
-        let within: [f64; N] = lanes(|i| {
-            let less = if ticks[i] >= turn { ticks[i] - turn } else { ticks[i] };
-            if less < 0.0 { less + turn } else { less }
-        });
-        let mut tick: [u32; N] = lanes(|i| nearest_integer(within[i]) as u32);
-        if within.iter().any(|tick| !(0.0..turn).contains(tick)) {
-            // More than a turn away, or not a number.
-            tick = lanes(|i| (ticks[i] as i64).rem_euclid(i64::from(self.build.ticks)) as u32);
-        }
-        Measurements {
-            steps: lanes(|i| round_ties_even(metres[i] / step)),
-            tick,
-            aside: lanes(|i| azimuth[i] - ticks[i] * radians),
+        let azimuth = azimuth - bearing.offset;
+        let ticks = (azimuth / azimuth.splat(self.radians())).round_ties_even();
+        // From half a turn back to half a turn ahead.
+        let nearest = ticks - (ticks * (1.0 / turn)).round_ties_even() * turn;
+        Measurement {
+            steps: (metres / metres.splat(self.range_step_m())).round_ties_even(),
+            tick: V::select(nearest.is_below(0.0), nearest + turn, nearest),
+            aside: azimuth - ticks * self.radians(),
         }
     }
 
-    /// Approximately the positions, in metres, that the formula gives to located measurements: to within a
-    /// small fraction of a range step.
+    /// Whether there are such measurements.
     #[inline(always)]
-    fn near_all<const N: usize>(
-        &self,
-        rows: &[usize; N],
-        [x, y, _]: &[[f64; N]; 3],
-        located: &Measurements<N>,
-    ) -> [[f64; N]; 3] {
-        let bearing: [Bearing; N] = lanes(|i| self.bearings[rows[i]]);
-        let step = self.range_step_m();
-        let metres: [f64; N] = lanes(|i| located.steps[i] * step - bearing[i].farther);
-        let flat: [f64; N] = lanes(|i| metres[i] * bearing[i].cos + bearing[i].ahead);
+    fn is_measured<V: Choose>(&self, measured: &Measurement<V>) -> V::Mask {
+        let has_tick = measured.tick.is_above(-1.0) & measured.tick.is_below(f64::from(self.build.ticks));
+        measured.steps.is_above(0.0) & has_tick
+    }
+
+    /// Approximately the positions, in metres, that the formula gives to the measurements nearest to others:
+    /// to within a small fraction of a range step.
+    #[inline(always)]
+    fn near<V: Choose>(&self, bearing: &Bearing<V>, [x, y, _]: [V; 3], measured: &Measurement<V>) -> [V; 3] {
+        let metres = measured.steps * self.range_step_m() - bearing.farther;
+        let flat = metres * bearing.cos + bearing.ahead;
         // Starts from the point, rotates it onto the tick, and scales it to the range in whole steps.
-        let [cos, sin] = angle::small_cos_sin(located.aside);
-        let scale: [f64; N] = lanes(|i| {
-            let beside = bearing[i].beside;
-            ((flat[i] * flat[i] + beside * beside) / (x[i] * x[i] + y[i] * y[i])).sqrt()
-        });
-        [
-            lanes(|i| scale[i] * (x[i] * cos[i] - y[i] * sin[i])),
-            lanes(|i| scale[i] * (x[i] * sin[i] + y[i] * cos[i])),
-            lanes(|i| metres[i] * bearing[i].sin + bearing[i].up),
-        ]
+        let [cos, sin] = angle::small_cos_sin(measured.aside);
+        let scale = ((flat * flat + bearing.beside * bearing.beside) / (x * x + y * y)).sqrt();
+        [scale * (x * cos - y * sin), scale * (x * sin + y * cos), metres * bearing.sin + bearing.up]
     }
 
     /// The returns of an image, each followed by its echoes, and the blanks of a full one, in the order of a

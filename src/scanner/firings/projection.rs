@@ -1,12 +1,14 @@
 //! Where the points of a scan lie in the range image of a scanner of firings.
 
-use pulp::NullaryFnOnce;
+use pulp::{Scalar, Simd, WithSimd};
 
 use super::blur::Blur;
 use super::timing::Span;
-use super::{Firings, Measurements};
-use crate::ground::angle::{self, shorter_way};
+use super::{Bearing, Firings};
+use crate::ground::angle::shorter_way;
+use crate::ground::doubles::{Choose, Doubles};
 use crate::ground::error::Limits;
+use crate::ground::floats::nearest_integer;
 use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::scan::{PointCloud, has_direction};
@@ -68,42 +70,42 @@ impl<'f> Sight<'f> {
     /// there by the recipe. `None` if there is no such range.
     pub fn nearest(&self, metres: [f64; 3]) -> Option<(Return, [f64; 3])> {
         let measured = self.scanner.in_frame(metres);
-        let ([row], located) = self.find(&measured.map(|value| [value]));
-        let found = located.return_at(row, 0)?;
-        Some((found, self.scanner.position(&found, 0.0)))
+        let row = self.row(measured) as usize;
+        let located = self.scanner.measure(&self.scanner.bearings[row], measured);
+        let is_one = self.scanner.is_measured(&located) && located.steps < f64::from(LONGEST);
+        let found = || unplaced(row as u32, located.tick as u32, located.steps as u32);
+        is_one.then(|| (found(), self.scanner.position(&found(), 0.0)))
     }
 
-    /// The rows of the lasers that are nearest to some positions, and their measurements.
+    /// The rows of the lasers that are nearest to positions, as whole numbers.
     #[inline(always)]
-    fn find<const N: usize>(&self, metres: &[[f64; N]; 3]) -> ([usize; N], Measurements<N>) {
-        let [x, y, z] = metres;
+    fn row<V: Choose>(&self, [x, y, z]: [V; 3]) -> V {
+        let [none, one] = [0.0, 1.0].map(|value| x.splat(value));
         // Approximately the direction of the beam: its azimuth offset is small.
-        let ahead: [f64; N] = lanes(|i| (x[i] * x[i] + y[i] * y[i]).sqrt() - self.along);
-        let above: [f64; N] = lanes(|i| z[i] - self.up);
-        let slope: [f64; N] = lanes(|i| above[i] / ahead[i]);
+        let ahead = (x * x + y * y).sqrt() - self.along;
+        // Behind the place where beams cross, a point is straight above or below.
+        let slope = (z - self.up) / V::select(ahead.is_above(0.0), ahead, none);
         // All borders are counted: for several points at once, that is faster than halving them for one point
         // after the other.
-        let mut rows = [0; N];
-        for border in &self.borders {
-            for i in 0..N {
-                rows[i] += usize::from(*border >= slope[i]);
+        let above = |border: f64| V::select(slope.is_at_most(x.splat(border)), one, none);
+        // Sums of their own, which need not wait for one another.
+        let mut rows = [none; 4];
+        let (groups, others) = self.borders.as_chunks::<4>();
+        for borders in groups {
+            for i in 0..4 {
+                rows[i] = rows[i] + above(borders[i]);
             }
         }
-        for i in (0..N).filter(|&i| ahead[i] <= 0.0 || ahead[i].is_nan()) {
-            rows[i] = nearest(&self.elevations, angle::atan2(above[i], ahead[i]));
+        for border in others {
+            rows[0] = rows[0] + above(*border);
         }
-        (rows, self.scanner.locate_all(&rows, metres))
+        rows[0] + rows[1] + (rows[2] + rows[3])
     }
 }
 
-impl<const N: usize> Measurements<N> {
-    /// The return of one of the points, if there is such a range; not yet in a column.
-    #[inline(always)]
-    fn return_at(&self, row: usize, point: usize) -> Option<Return> {
-        let (steps, tick) = (self.steps[point], self.tick[point]);
-        let is_one = steps >= 1.0 && steps < f64::from(LONGEST);
-        is_one.then_some(Return { row: row as u32, tick, steps: steps as u32, column: 0, echo: 0 })
-    }
+/// A return that is not yet in a column.
+fn unplaced(row: u32, tick: u32, steps: u32) -> Return {
+    Return { row, tick, steps, column: 0, echo: 0 }
 }
 
 /// The search for the places of points, as a type so that it can be compiled for several vector units.
@@ -113,51 +115,94 @@ struct Search<'a, const IS_MOUNTED: bool> {
     reach: f64,
 }
 
-impl<const IS_MOUNTED: bool> NullaryFnOnce for Search<'_, IS_MOUNTED> {
+impl<const IS_MOUNTED: bool> WithSimd for Search<'_, IS_MOUNTED> {
     type Output = Vec<Place>;
 
     #[inline(always)]
-    fn call(self) -> Vec<Place> {
+    fn with_simd<S: Simd>(self, simd: S) -> Vec<Place> {
         /// Number of points that are processed together.
         const BLOCK: usize = 8;
-        let Search { scanner, positions, reach } = self;
-        let sight = Sight::new(scanner);
-        let grid = scanner.build.coordinates;
-        let blur = Blur::of(grid);
-        let reach = reach + blur.reach();
-        let mut places = Vec::with_capacity(positions.len());
-        for (first, points) in (0u32..).step_by(BLOCK).zip(positions.chunks(BLOCK)) {
-            // The missing points of the last block are computed as well, but ignored.
-            let mut block = [[0.0; 3]; BLOCK];
-            block[..points.len()].copy_from_slice(points);
-            let mut metres: [[f64; BLOCK]; 3] = lanes(|axis| lanes(|i| f64::from(block[i][axis])));
-            if IS_MOUNTED {
-                let measured: [[f64; 3]; BLOCK] = lanes(|i| scanner.in_frame(block[i].map(f64::from)));
-                metres = lanes(|axis| lanes(|i| measured[i][axis]));
-            }
-            let (rows, located) = sight.find(&metres);
-            let near = scanner.near_all(&rows, &metres, &located);
-            for i in 0..points.len() {
-                let Some(found) = located.return_at(rows[i], i) else { continue };
-                // Every float32 is on its grid; on other grids, the formula gives the sign of a zero.
-                let (formula, metres) = match grid {
-                    CoordinateGrid::Float32 => {
-                        ([near[0][i], near[1][i], near[2][i]], [metres[0][i], metres[1][i], metres[2][i]])
-                    }
-                    _ => (scanner.position(&found, 0.0), block[i].map(f64::from)),
-                };
-                let is_near = (0..3).all(|axis| (formula[axis] - metres[axis]).abs() < reach);
-                if is_near && (grid == CoordinateGrid::Float32 || grid.holds_all(&metres, &formula)) {
-                    let mut place = scanner.place(first + i as u32, &found);
-                    if blur.is_any() {
-                        let distance = (metres[0] * metres[0] + metres[1] * metres[1]).sqrt();
-                        place.slack = blur.ticks(distance, scanner.build.ticks);
-                    }
-                    places.push(place);
-                }
-            }
+        let sight = Sight::new(self.scanner);
+        let mut places = Vec::with_capacity(self.positions.len());
+        let (blocks, rest) = self.positions.as_chunks::<BLOCK>();
+        let mut first = 0;
+        for block in blocks {
+            self.find(simd, &sight, first, block, &mut places);
+            first += BLOCK as u32;
+        }
+        for point in rest {
+            self.find(Scalar::new(), &sight, first, std::array::from_ref(point), &mut places);
+            first += 1;
         }
         places
+    }
+}
+
+impl<const IS_MOUNTED: bool> Search<'_, IS_MOUNTED> {
+    /// Appends the places of `N` points, of which the first has the number `first`. `N` must be a multiple of
+    /// the number of values in a vector.
+    #[inline(always)]
+    fn find<S: Simd, const N: usize>(
+        &self,
+        simd: S,
+        sight: &Sight,
+        first: u32,
+        block: &[[f32; 3]; N],
+        places: &mut Vec<Place>,
+    ) {
+        let scanner = self.scanner;
+        let grid = scanner.build.coordinates;
+        let measured: [[f64; 3]; N] =
+            if IS_MOUNTED { lanes(|i| scanner.in_frame(block[i].map(f64::from))) } else { [[0.0; 3]; N] };
+        let (mut rows, mut ticks, mut steps) = ([0.0; N], [0.0; N], [0.0; N]);
+        for part in 0..N / S::F64_LANES {
+            let of = |lane: usize| part * S::F64_LANES + lane;
+            let along = |axis: usize| match IS_MOUNTED {
+                true => Doubles::of(simd, |lane| measured[of(lane)][axis]),
+                false => Doubles::of(simd, |lane| f64::from(block[of(lane)][axis])),
+            };
+            let point = [along(0), along(1), along(2)];
+            sight.row(point).store(&mut rows, part);
+            let row = |lane: usize| nearest_integer(rows[of(lane)]) as usize;
+            let bearing = Bearing::of_rows(simd, &scanner.bearings, row);
+            let located = scanner.measure(&bearing, point);
+            let mut is_one = scanner.is_measured(&located) & located.steps.is_below(f64::from(LONGEST));
+            // Every float32 is on its grid.
+            if grid == CoordinateGrid::Float32 {
+                let near = scanner.near(&bearing, point, &located);
+                let is_near = |axis: usize| (near[axis] - point[axis]).abs().is_below(self.reach);
+                is_one = is_one & is_near(0) & is_near(1) & is_near(2);
+            }
+            located.tick.store(&mut ticks, part);
+            let none = located.steps.splat(0.0);
+            Choose::select(is_one, located.steps, none).store(&mut steps, part);
+        }
+        for i in (0..N).filter(|&i| steps[i] > 0.0) {
+            let [row, tick, steps] = [rows[i], ticks[i], steps[i]].map(|value| nearest_integer(value) as u32);
+            let found = unplaced(row, tick, steps);
+            let slack = match grid {
+                CoordinateGrid::Float32 => Some(0),
+                _ => self.slack(&found, &block[i]),
+            };
+            if let Some(slack) = slack {
+                let place = scanner.place(first + i as u32, &found);
+                places.push(Place { slack, ..place });
+            }
+        }
+    }
+
+    /// By how many ticks the return at a position of a file whose coordinates were rounded may be wrong;
+    /// `None` if the recipe does not explain the position.
+    #[inline(never)]
+    fn slack(&self, found: &Return, position: &[f32; 3]) -> Option<u32> {
+        let (grid, blur) = (self.scanner.build.coordinates, Blur::of(self.scanner.build.coordinates));
+        let reach = self.reach + blur.reach();
+        // On such grids, the formula gives the sign of a zero.
+        let (formula, metres) = (self.scanner.position(found, 0.0), position.map(f64::from));
+        let is_near = (0..3).all(|axis| (formula[axis] - metres[axis]).abs() < reach);
+        let distance = (metres[0] * metres[0] + metres[1] * metres[1]).sqrt();
+        let slack = || if blur.is_any() { blur.ticks(distance, self.scanner.build.ticks) } else { 0 };
+        (is_near && grid.holds_all(&metres, &formula)).then(slack)
     }
 }
 
@@ -296,11 +341,12 @@ impl Firings {
 
     /// The row and the column of a record, in a file in which every cell of an image of `width` columns is a
     /// record.
-    fn cell_of_record(&self, record: u32, width: usize) -> (u32, usize) {
-        let (record, rows) = (record as usize, self.rows());
-        match self.rows_of_lines.get(record / width) {
+    #[inline]
+    fn cell_of_record(&self, record: u32, width: u32) -> (u32, u32) {
+        let rows = self.rows() as u32;
+        match self.rows_of_lines.get((record / width) as usize) {
             Some(&row) => (row, record % width),
-            None => (self.rows_of_slots[record % rows], record / rows),
+            None => (self.rows_of_slots[(record % rows) as usize], record / rows),
         }
     }
 
@@ -313,7 +359,7 @@ impl Firings {
         let records = positions.len();
         let width = records / self.rows();
         let is_whole = records > 0 && records == width * self.rows();
-        let is_there = |place: &&Place| self.cell_of_record(place.point, width).0 == place.row;
+        let is_there = |place: &&Place| self.cell_of_record(place.point, width as u32).0 == place.row;
         let nothing = self.of_nothing();
         let is_blank = |p: &[f32; 3]| *p == nothing || *p == [0.0; 3] || p.iter().any(|v| !v.is_finite());
         let is_full = || {
@@ -332,20 +378,24 @@ impl Firings {
         positions: &[[f32; 3]],
         reach: f64,
     ) -> Projection {
-        let cell = |place: &Place| self.cell_of_record(place.point, width);
+        let cell = |place: &Place| self.cell_of_record(place.point, width as u32);
         places.retain(|place| cell(place).0 == place.row);
-        places.sort_by_key(|place| (cell(place).1, place.slot));
+        // A file that holds firing after firing has this order already.
+        if !self.rows_of_lines.is_empty() {
+            places.sort_by_key(|place| (cell(place).1, place.slot));
+        }
         let mut columns = Vec::with_capacity(width);
-        let mut rest = 0;
-        for number in 0..width {
-            let count = places[rest..].iter().take_while(|place| cell(place).1 == number).count();
-            let mut ticks: Vec<u32> =
-                places[rest..rest + count].iter().map(|place| place.column_tick).collect();
+        let (mut rest, mut ticks) = (0, Vec::new());
+        for number in 0..width as u32 {
+            let own = places[rest..].iter().take_while(|place| cell(place).1 == number);
+            ticks.clear();
+            ticks.extend(own.map(|place| place.column_tick));
+            let end = rest + ticks.len();
             ticks.sort_unstable();
             let most = ticks.chunk_by(|a, b| a == b).max_by_key(|same| same.len());
             let tick = most.map_or(UNKNOWN, |same| same[0]);
-            columns.push(Column { places: rest..rest + count, tick, span: Span::default() });
-            rest += count;
+            columns.push(Column { places: rest..end, tick, span: Span::default() });
+            rest = end;
         }
         if self.build.timing.is_interpolated() {
             self.find_spans(&places, &mut columns, self.usual_span(&places));
@@ -357,9 +407,18 @@ impl Firings {
         }
         image.is_full = true;
         let mut point_of_cell = Grid::new(self.rows(), width);
-        for record in 0..(width * self.rows()) as u32 {
-            let (row, column) = self.cell_of_record(record, width);
-            point_of_cell[(row as usize, column)] = record;
+        let mut records = 0u32..;
+        if self.rows_of_lines.is_empty() {
+            for column in 0..width {
+                for (row, record) in self.rows_of_slots.iter().zip(&mut records) {
+                    point_of_cell[(*row as usize, column)] = record;
+                }
+            }
+        } else {
+            for row in &self.rows_of_lines {
+                let cells = point_of_cell.row_mut(*row as usize);
+                cells.iter_mut().zip(&mut records).for_each(|(cell, record)| *cell = record);
+            }
         }
         for (number, column) in columns.iter().enumerate() {
             for place in &places[column.places.clone()] {

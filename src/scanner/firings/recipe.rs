@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use super::glibc;
 use crate::ground::angle;
-use crate::ground::lanes::lanes;
+use crate::ground::doubles::Choose;
 
 /// A program that writes scans. A new one needs a number here, its description, and its
 /// [arithmetic](super::arithmetic); the fit tries them all.
@@ -305,19 +305,14 @@ impl Recipe {
         }
     }
 
-    /// The approximate azimuth of a point, in radians from -pi to pi.
-    pub(super) fn azimuth(self, x: f64, y: f64) -> f64 {
-        let [azimuth] = self.azimuths(&[x], &[y]);
-        azimuth
-    }
-
-    /// [`azimuth`](Self::azimuth) of several points at once.
+    /// The approximate azimuths of points, in radians from -pi to pi.
     #[inline(always)]
-    pub(super) fn azimuths<const N: usize>(self, x: &[f64; N], y: &[f64; N]) -> [f64; N] {
-        match self.axes() {
-            Axes::XAhead => lanes(|i| angle::atan2(-y[i], x[i])),
-            Axes::YAhead => lanes(|i| angle::atan2(x[i], y[i])),
-        }
+    pub(super) fn azimuth<V: Choose>(self, x: V, y: V) -> V {
+        let (across, along) = match self.axes() {
+            Axes::XAhead => (y * -1.0, x),
+            Axes::YAhead => (x, y),
+        };
+        angle::atan2(across, along)
     }
 }
 

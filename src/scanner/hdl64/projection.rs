@@ -8,7 +8,7 @@ use pulp::{Scalar, Simd, WithSimd};
 use super::Hdl64;
 use super::formula::Tick;
 use super::model::ON_CONE;
-use crate::ground::doubles::{Doubles, Real};
+use crate::ground::doubles::{Choose, Doubles, Real};
 use crate::ground::floats::nearest_integer;
 use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
