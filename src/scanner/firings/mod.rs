@@ -29,6 +29,7 @@ mod ouster;
 mod payload;
 mod projection;
 mod recipe;
+mod side_by_side;
 mod timing;
 
 pub use columns::FiringColumnModel;
@@ -46,15 +47,15 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use pulp::{NullaryFnOnce, Simd};
+use pulp::Simd;
 
 use crate::ground::angle;
 use crate::ground::doubles::{Choose, Doubles};
 use crate::ground::floats::round_ties_even;
-use crate::ground::lanes::{dispatch, lanes};
 use crate::scanner::hdl64::{BeamConstants, Hdl64};
 use crate::scanner::{CoordinateGrid, RangeImage, Return, median};
 use arithmetic::{Arithmetic, MOST_LOCATED, TurnTable};
+use side_by_side::or_zero;
 use timing::{BlockTimes, Span};
 
 /// Degrees per unit of a laser's constants.
@@ -458,7 +459,7 @@ impl Firings {
             return returns.iter().map(|found| self.position(found, offset_m).map(single)).collect();
         }
         match &self.build.mounting {
-            None => dispatch(Filling { scanner: self, returns }),
+            None => side_by_side::positions(&self.arithmetic, &self.turn, returns, self.build.range_step_um),
             Some(mounting) => {
                 let step = self.build.range_step_um;
                 let moved = |found: &Return| {
@@ -474,15 +475,6 @@ impl Firings {
                 returns.iter().map(|found| moved(found).map(or_zero)).collect()
             }
         }
-    }
-
-    /// The positions of some returns in the frame of the scanner.
-    #[inline(always)]
-    fn positions_of<const N: usize>(&self, returns: &[Return; N]) -> [[f32; 3]; N] {
-        let lasers = returns.each_ref().map(|found| &self.arithmetic[found.row as usize]);
-        let (ticks, steps) = (lanes(|i| returns[i].tick), lanes(|i| returns[i].steps));
-        let positions = Arithmetic::positions(&lasers, &self.turn, ticks, steps, self.build.range_step_um);
-        lanes(|i| positions[i].map(or_zero))
     }
 
     /// The position of a return in metres, as accurately as the recipe computes it, `offset_m` metres beyond
@@ -581,37 +573,6 @@ impl fmt::Display for Firings {
                 write!(f, ", {} a block, with a timing of their own", timing.firings(self.rows()))
             }
         }
-    }
-}
-
-/// A number, 0 in place of none.
-#[inline(always)]
-fn or_zero(metres: f32) -> f32 {
-    if metres.is_nan() { 0.0 } else { metres }
-}
-
-/// The computation of positions in the frame of the scanner, as a type so that it can be compiled for several
-/// vector units.
-struct Filling<'a> {
-    scanner: &'a Firings,
-    returns: &'a [Return],
-}
-
-impl NullaryFnOnce for Filling<'_> {
-    type Output = Vec<[f32; 3]>;
-
-    #[inline(always)]
-    fn call(self) -> Vec<[f32; 3]> {
-        let Filling { scanner, returns } = self;
-        let mut positions = Vec::with_capacity(returns.len());
-        let (blocks, rest) = returns.as_chunks::<8>();
-        for block in blocks {
-            positions.extend_from_slice(&scanner.positions_of(block));
-        }
-        for found in rest {
-            positions.extend(scanner.positions_of(&[*found]));
-        }
-        positions
     }
 }
 
