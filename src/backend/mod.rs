@@ -163,17 +163,17 @@ pub fn may_lzma_pay(quick: usize, most: usize, sample: impl FnOnce() -> Option<V
 /// Whether a general-purpose coder took fewer bytes than the models in the last frame that tried both. In a
 /// similar frame, the encoder skips the one that was clearly longer.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Trial {
+pub enum Verdict {
     /// Nothing, or that both take about the same number of bytes.
     #[default]
     Open,
-    /// That the models take fewer bytes, in a frame of this [likeness](Trial::likeness).
+    /// That the models take fewer bytes, in a frame of this [likeness](Verdict::likeness).
     Lost(f64),
     /// That the coder takes fewer bytes, in a frame of this likeness.
     Won(f64),
 }
 
-impl Trial {
+impl Verdict {
     /// A number that is about the same for frames that are alike: the bytes a record that zstd makes of them,
     /// judged by a part from the middle.
     pub fn likeness(bytes: &[u8], records: usize) -> f64 {
@@ -183,27 +183,27 @@ impl Trial {
         compress_quickly(sample).map_or(f64::NAN, |quick| quick.len() as f64 / of_sample)
     }
 
-    /// The result of a trial, given the bytes that the coder and the models take.
+    /// The verdict, given the bytes that the coder and the models take.
     pub fn of(coder: usize, models: usize, likeness: f64) -> Self {
         /// One part in this number is a clear difference.
         const CLEAR: usize = 64;
         if coder > models.saturating_add(models / CLEAR) {
-            Trial::Lost(likeness)
+            Verdict::Lost(likeness)
         } else if models > coder.saturating_add(coder / CLEAR) {
-            Trial::Won(likeness)
+            Verdict::Won(likeness)
         } else {
-            Trial::Open
+            Verdict::Open
         }
     }
 
     /// Whether the coder lost in a frame like this one.
     pub fn has_lost(self, likeness: impl FnOnce() -> f64) -> bool {
-        matches!(self, Trial::Lost(before) if is_alike(before, likeness()))
+        matches!(self, Verdict::Lost(before) if is_alike(before, likeness()))
     }
 
     /// Whether the coder won in a frame like this one.
     pub fn has_won(self, likeness: impl FnOnce() -> f64) -> bool {
-        matches!(self, Trial::Won(before) if is_alike(before, likeness()))
+        matches!(self, Verdict::Won(before) if is_alike(before, likeness()))
     }
 }
 

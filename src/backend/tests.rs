@@ -99,26 +99,26 @@ proptest! {
 #[test]
 fn trials_tell_only_clear_differences() {
     for (coder, models, result) in [
-        (1000, 1000, Trial::Open),
-        (1010, 1000, Trial::Open),
-        (1000, 1010, Trial::Open),
-        (1020, 1000, Trial::Lost(4.0)),
-        (1000, 1020, Trial::Won(4.0)),
-        (1000, usize::MAX, Trial::Won(4.0)),
+        (1000, 1000, Verdict::Open),
+        (1010, 1000, Verdict::Open),
+        (1000, 1010, Verdict::Open),
+        (1020, 1000, Verdict::Lost(4.0)),
+        (1000, 1020, Verdict::Won(4.0)),
+        (1000, usize::MAX, Verdict::Won(4.0)),
     ] {
-        assert_eq!(Trial::of(coder, models, 4.0), result, "{coder} and {models} bytes");
+        assert_eq!(Verdict::of(coder, models, 4.0), result, "{coder} and {models} bytes");
     }
 }
 
 #[test]
 fn trials_hold_for_frames_that_are_alike() {
     for (likeness, is_alike) in [(3.4, false), (3.6, true), (4.0, true), (4.4, true), (4.6, false)] {
-        assert_eq!(Trial::Lost(4.0).has_lost(|| likeness), is_alike, "{likeness}");
-        assert_eq!(Trial::Won(4.0).has_won(|| likeness), is_alike, "{likeness}");
-        assert!(!Trial::Won(4.0).has_lost(|| likeness) && !Trial::Lost(4.0).has_won(|| likeness));
+        assert_eq!(Verdict::Lost(4.0).has_lost(|| likeness), is_alike, "{likeness}");
+        assert_eq!(Verdict::Won(4.0).has_won(|| likeness), is_alike, "{likeness}");
+        assert!(!Verdict::Won(4.0).has_lost(|| likeness) && !Verdict::Lost(4.0).has_won(|| likeness));
     }
-    assert!(!Trial::Open.has_lost(|| 0.0) && !Trial::Lost(f64::NAN).has_lost(|| f64::NAN));
-    let trial = Trial::of(2000, 1000, Trial::likeness(&residual_like(6000), 500));
-    assert!(trial.has_lost(|| Trial::likeness(&residual_like(3000), 250)), "{trial:?}");
-    assert!(!trial.has_lost(|| Trial::likeness(&[0; 6000], 500)), "{trial:?}");
+    assert!(!Verdict::Open.has_lost(|| 0.0) && !Verdict::Lost(f64::NAN).has_lost(|| f64::NAN));
+    let verdict = Verdict::of(2000, 1000, Verdict::likeness(&residual_like(6000), 500));
+    assert!(verdict.has_lost(|| Verdict::likeness(&residual_like(3000), 250)), "{verdict:?}");
+    assert!(!verdict.has_lost(|| Verdict::likeness(&[0; 6000], 500)), "{verdict:?}");
 }

@@ -14,7 +14,7 @@ use super::settings::EncoderConfig;
 use super::stages::{Stage, StageReport};
 use super::syntax::Models;
 use super::whole::WholeFile;
-use crate::backend::Trial;
+use crate::backend::Verdict;
 use crate::container::{
     FrameHeader, FrameKind, Section, SectionKind, pay_for, payload_bytes, payload_bytes_of,
 };
@@ -37,7 +37,7 @@ struct TrackEncoder<'s> {
     config: &'s EncoderConfig,
     state: TrackState<'s>,
     /// What the last frame has shown of a general-purpose compressor.
-    whole: Trial,
+    whole: Verdict,
     /// Whether bounded mode was smaller than exact mode for a frame of the group.
     bound_pays: bool,
     /// The error, in micrometres, with which the points are coded: the bound, or less where that is smaller.
@@ -132,7 +132,7 @@ impl<'s> TrackEncoder<'s> {
         TrackEncoder {
             config,
             state: TrackState { scanner, ..TrackState::default() },
-            whole: Trial::Open,
+            whole: Verdict::Open,
             bound_pays: false,
             error_um: None,
             of_digits_um: 0,

@@ -1,7 +1,7 @@
 //! A frame coded as the bytes of its file by a general-purpose compressor: the fallback if no model pays.
 //! FORMAT.md 8.18.
 
-use crate::backend::{self, Compressors, STORE, Trial, may_lzma_pay};
+use crate::backend::{self, Compressors, STORE, Verdict, may_lzma_pay};
 use crate::files::{parse, plain_file};
 use crate::ground::error::{Error, Limits, Result};
 use crate::ground::varint::{read_unsigned, write_unsigned};
@@ -19,7 +19,7 @@ pub struct WholeFile {
 
 impl WholeFile {
     /// A file coded by a general-purpose compressor, if that takes fewer than `most` bytes. A slow one is
-    /// tried only if it may, also judging by `trial`: what that showed in an earlier frame, and then in this
+    /// tried only if it may, also judging by `verdict`: what that showed in an earlier frame, and then in this
     /// one.
     ///
     /// # Errors
@@ -28,13 +28,13 @@ impl WholeFile {
         scan: &ScanFile,
         compressors: Compressors,
         most: usize,
-        trial: &mut Trial,
+        verdict: &mut Verdict,
     ) -> Result<Option<Self>> {
         /// Bytes of a sample. Less than four times as many are not sampled.
         const SAMPLE: usize = 64 << 10;
         let bytes = scan.to_bytes()?;
-        let likeness = || Trial::likeness(&bytes, scan.records);
-        if trial.has_lost(likeness) {
+        let likeness = || Verdict::likeness(&bytes, scan.records);
+        if verdict.has_lost(likeness) {
             return Ok(None);
         }
         let records = (scan.layout.wrapping == Wrapping::Plain && !scan.is_opaque())
@@ -46,7 +46,7 @@ impl WholeFile {
         let coded = backend::shortest(&bytes, compressors, |quick| may_lzma_pay(quick, most, sample))?;
         // Files without points tell nothing about scans.
         if scan.records > 0 {
-            *trial = Trial::of(coded.1.len(), most, likeness());
+            *verdict = Verdict::of(coded.1.len(), most, likeness());
         }
         Ok(Some(WholeFile::coded(bytes, records, coded)).filter(|whole| whole.payload.len() < most))
     }
@@ -146,7 +146,7 @@ mod tests {
         let scan = parse(name, bytes.to_vec());
         for compressors in [Compressors::Fast, Compressors::Slow, Compressors::All] {
             let whole =
-                WholeFile::shorter(&scan, compressors, usize::MAX, &mut Trial::Open).unwrap().unwrap();
+                WholeFile::shorter(&scan, compressors, usize::MAX, &mut Verdict::Open).unwrap().unwrap();
             let (payload, limits) = (whole.payload().to_vec(), Limits::default());
             let decoded = WholeFile::from_payload(&payload, &limits).unwrap();
             let decoded = decoded.into_scan(name, scan.records).unwrap();

@@ -1,6 +1,8 @@
 //! The corrections: values added to the formula's coordinates, in units of the file's grid; as adaptive bits,
 //! and as tokens. FORMAT.md 8.7 and 8.16.
 
+use pulp::bytemuck::cast_slice;
+
 use crate::entropy::{AdaptiveBit, BitCoder, IntegerModel, TokenCoder};
 use crate::ground::floats::round_ties_even;
 use crate::ground::varint::{unzigzag, zigzag};
@@ -173,7 +175,10 @@ pub fn correct_positions<C: TokenCoder>(
             let wanted = wanted.get(at(*point));
             wanted.is_some_and(|wanted| !is_corrected(wanted, &positions[at(*point)]))
         };
-        let gap = (next..end).take_while(is_right).count();
+        // Most points need no correction, which is seen faster of many at once.
+        let first =
+            next + if numbers.is_none() { same_points(&positions[next..], wanted.get(next..)) } else { 0 };
+        let gap = first - next + (first..end).take_while(is_right).count();
         let gap = coder.number(GAP, gap as u64).min((end - next) as u64) as usize;
         next += gap;
         if next == end || coder.is_exhausted() {
@@ -190,4 +195,12 @@ pub fn correct_positions<C: TokenCoder>(
         }
         next += 1;
     }
+}
+
+/// A number of points at the start that have the same bits in both lists: not always all of them.
+fn same_points(a: &[[f32; 3]], b: Option<&[[f32; 3]]>) -> usize {
+    const MANY: usize = 64;
+    let blocks = a.chunks_exact(MANY).zip(b.unwrap_or_default().chunks_exact(MANY));
+    let same = |(a, b): &(&[[f32; 3]], &[[f32; 3]])| cast_slice::<_, u8>(a) == cast_slice::<_, u8>(b);
+    MANY * blocks.take_while(same).count()
 }

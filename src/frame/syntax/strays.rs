@@ -4,7 +4,7 @@ use std::cell::LazyCell;
 
 use byteorder::{ByteOrder, LittleEndian};
 
-use crate::backend::{Compressors, Trial};
+use crate::backend::{Compressors, Verdict};
 use crate::container::SectionKind;
 use crate::entropy::{AdaptiveBit, BitCoder};
 use crate::frame::parts::FrameParts;
@@ -21,9 +21,9 @@ pub struct StrayModels {
     points: PointModel,
     are_compressed: AdaptiveBit,
     /// Of compression in place of the model.
-    trial: Trial,
+    verdict: Verdict,
     /// Of channels, in place of the order of the points, to tell their trails.
-    channel_trial: Trial,
+    channel_verdict: Verdict,
 }
 
 impl StrayModels {
@@ -65,24 +65,24 @@ impl StrayModels {
                 true => positions.iter().flatten().flat_map(|value| value.to_le_bytes()).collect(),
                 false => Vec::new(),
             };
-            let likeness = LazyCell::new(|| Trial::likeness(&bytes, positions.len()));
+            let likeness = LazyCell::new(|| Verdict::likeness(&bytes, positions.len()));
             let compress = |most| Compressed::shortest(&bytes, ScalarType::F32, WIDTH, compressors, most);
-            if may_compress && self.trial.has_won(|| *likeness) {
+            if may_compress && self.verdict.has_won(|| *likeness) {
                 compressed = compress(usize::MAX);
             }
             if compressed.is_none() {
-                let tell_nothing = may_compress && self.channel_trial.has_lost(|| *likeness);
+                let tell_nothing = may_compress && self.channel_verdict.has_lost(|| *likeness);
                 let channels = if tell_nothing { &[] } else { channels };
                 analysis = self.points.analyse(lattice, positions, channels);
                 if let Some(TrailSizes { channel, order }) = analysis.sizes_by.filter(|_| may_compress) {
-                    self.channel_trial = Trial::of(channel, order, *likeness);
+                    self.channel_verdict = Verdict::of(channel, order, *likeness);
                 }
             }
-            if may_compress && compressed.is_none() && !self.trial.has_lost(|| *likeness) {
+            if may_compress && compressed.is_none() && !self.verdict.has_lost(|| *likeness) {
                 let own = self.points.size_of(positions, &analysis);
                 compressed = compress(own);
                 let size = compressed.as_ref().map(Compressed::size);
-                self.trial = size.map_or(Trial::Open, |size| Trial::of(size, own, *likeness));
+                self.verdict = size.map_or(Verdict::Open, |size| Verdict::of(size, own, *likeness));
                 compressed.take_if(|found| found.size() >= own);
             }
         }

@@ -214,8 +214,14 @@ fn code_by_rule<C: BitCoder, const KIND: u8>(
     model.code_phase(coder, rule, known.clone());
     let (doubts, learned) = model.code_doubts(coder, rule, known);
     // If the rule is right for all integers, nothing else is coded.
-    if let Some(learned) = learned.filter(|_| doubts.is_empty() && !off.has_exceptions) {
-        return model.know(learned);
+    if doubts.is_empty() && !off.has_exceptions {
+        if let Some(learned) = learned {
+            return model.know(learned);
+        }
+        for (record, value) in values.chunks_exact_mut(scalar.size() as usize).enumerate() {
+            places.grid.write(model.follow(rule, &places.site(record)), value);
+        }
+        return;
     }
     code_each(coder, off, scalar, &integers, values, |coder, record, integer| {
         integer.map(|integer| model.code(coder, rule, doubts, record, &places.site(record), integer))

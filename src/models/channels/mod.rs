@@ -25,7 +25,7 @@ use levels::{MOST_ENTRIES, Palette};
 use plan::{Integers, Plan};
 
 use super::ByteModel;
-use crate::backend::{Compressors, Trial};
+use crate::backend::{Compressors, Verdict};
 use crate::entropy::{ArithmeticEncoder, BitCoder};
 use crate::ground::error::{Error, Result};
 use crate::models::numbers::Scale;
@@ -83,7 +83,7 @@ impl RecordContext {
 pub struct ChannelsModel {
     columns: Vec<ColumnModel>,
     /// For each channel, the result of compressing it in place of the models.
-    trials: Vec<Trial>,
+    verdicts: Vec<Verdict>,
     /// Shared by all channels, because it is large.
     bytes: Option<ByteModel>,
 }
@@ -141,7 +141,7 @@ impl ChannelsModel {
         }
         let images = ImageSize { cells: context.cells().saturating_mul(columns as u64), most: most_cells };
         let bytes_model = self.bytes.get_or_insert_with(ByteModel::small);
-        self.trials.resize(channels.len(), Trial::Open);
+        self.verdicts.resize(channels.len(), Verdict::Open);
         let mut known = Vec::new();
         for (channel, models) in order.into_iter().zip(models) {
             let scalar = channels[channel].field.scalar;
@@ -149,7 +149,7 @@ impl ChannelsModel {
             let sources = Sources { channels: &*channels, known: &known, context, images };
             let mut coding = ChannelCoder {
                 columns: &mut self.columns[models],
-                trial: &mut self.trials[channel],
+                verdict: &mut self.verdicts[channel],
                 bytes: bytes_model,
                 width: scalar.size() as usize * (channels[channel].field.count as usize),
                 scalar,
@@ -321,7 +321,7 @@ impl OwnedSources {
 /// Codes one channel.
 struct ChannelCoder<'m> {
     columns: &'m mut [ColumnModel],
-    trial: &'m mut Trial,
+    verdict: &'m mut Verdict,
     bytes: &'m mut ByteModel,
     width: usize,
     scalar: ScalarType,
@@ -391,7 +391,7 @@ impl ChannelCoder<'_> {
         if is_constant(bytes, self.width) {
             return (Shape::Constant, Vec::new(), None);
         }
-        if self.trial.has_won(|| Trial::likeness(bytes, bytes.len() / self.width))
+        if self.verdict.has_won(|| Verdict::likeness(bytes, bytes.len() / self.width))
             && let Some(compressed) = self.compressed(bytes, usize::MAX)
         {
             return (Shape::Compressed, Vec::new(), Some(compressed));
@@ -462,8 +462,8 @@ impl ChannelCoder<'_> {
             true => (as_bytes, Shape::Bytes),
             false => (size, own),
         };
-        let likeness = || Trial::likeness(bytes, bytes.len() / self.width);
-        if self.trial.has_lost(likeness) {
+        let likeness = || Verdict::likeness(bytes, bytes.len() / self.width);
+        if self.verdict.has_lost(likeness) {
             return (shape, None);
         }
         let Some(compressed) = self.compressed(bytes, best.saturating_add(best / UNSURE)) else {
@@ -478,9 +478,9 @@ impl ChannelCoder<'_> {
             };
         }
         let likeness = likeness();
-        *self.trial = match Trial::of(compressed.size(), best, likeness) {
+        *self.verdict = match Verdict::of(compressed.size(), best, likeness) {
             // In the next frames, the models have learned more.
-            Trial::Open => Trial::Lost(likeness),
+            Verdict::Open => Verdict::Lost(likeness),
             decided => decided,
         };
         match compressed.size() < best {

@@ -144,6 +144,8 @@ impl<T: Copy> Constants<T> {
 pub struct RuleState {
     /// The number among the columns in turn that column 0 of the frame has.
     phase: u32,
+    /// The last column, and its number among the columns in turn: divisions are slow.
+    turn: (u32, u32),
     /// By key and by the column's number among those in turn, see [`entry`]: the integer minus its base.
     offsets: Constants<i64>,
     /// By hash of the key and the last integer: the integer that followed.
@@ -201,6 +203,7 @@ impl RuleModel {
         if rule.columns() > 1 {
             let phase = if C::ENCODES { self.state.likely_phase(rule, known) } else { 0 };
             self.state.phase = coder.code_plain(phase.into(), 8) as u32;
+            self.state.turn = (0, self.state.phase % rule.columns());
         }
     }
 
@@ -241,6 +244,12 @@ impl RuleModel {
         self.state = learned;
     }
 
+    /// The integer of a record, of integers that all follow the rule.
+    #[inline(always)]
+    pub fn follow(&mut self, rule: Rule, site: &Site) -> i64 {
+        self.state.follow(rule, site)
+    }
+
     /// Codes the integer of a record.
     #[inline(always)]
     pub fn code<C: BitCoder>(
@@ -278,6 +287,7 @@ impl RuleState {
     /// See [`RuleModel::prepare`].
     pub fn prepare(&mut self, rule: Rule, are_singles: bool) {
         self.are_rounded = are_singles && matches!(rule, Rule::Turn(_));
+        self.turn = (0, self.phase % rule.columns());
         if rule == Rule::After {
             self.after.resize(ENTRIES, None);
         }
@@ -290,6 +300,14 @@ impl RuleState {
         let expected = self.expected(rule, site);
         self.learn(rule, site, &expected, value);
         value == expected.integer
+    }
+
+    /// The next integer, which is the expected one.
+    #[inline(always)]
+    pub fn follow(&mut self, rule: Rule, site: &Site) -> i64 {
+        let expected = self.expected(rule, site);
+        self.learn(rule, site, &expected, expected.integer);
+        expected.integer.wrapping_add(site.geometry.unwrap_or(0))
     }
 
     /// The phase with which the base changes least often in a frame, given the offsets of earlier frames.
@@ -316,7 +334,12 @@ impl RuleState {
     #[inline(always)]
     fn expected(&mut self, rule: Rule, site: &Site) -> Expected {
         let phase = match rule {
-            Rule::Turn(_) => site.column.wrapping_add(self.phase) % rule.columns(),
+            Rule::Turn(_) => {
+                if site.column != self.turn.0 {
+                    self.turn = (site.column, site.column.wrapping_add(self.phase) % rule.columns());
+                }
+                self.turn.1
+            }
             _ => 0,
         };
         let offset = entry(rule, site.key, phase);

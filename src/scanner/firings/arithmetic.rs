@@ -483,7 +483,7 @@ impl Arithmetic {
                 are_sure.then_some([x as f32, y as f32, z as f32])
             }
             Arithmetic::Ls { cos_v, sin_v, turned, offsets: [cos_o, sin_o], along, up, .. } => {
-                let [cos, sin] = *table.get((tick + turned) % table.len());
+                let [cos, sin] = *table.get(turned_tick(tick, *turned, table.len()));
                 let start = turned_by([cos, sin], [*cos_o, -sin_o]);
                 let [cos_s, sin_s] = Some(start).filter(has_signs)?;
                 let (flat, error) = (metres * cos_v, along.abs() * TURNED_ERROR);
@@ -598,7 +598,7 @@ impl Arithmetic {
     fn hesai(&self, turn: &TurnTable, tick: u32, metres: f64) -> [f32; 3] {
         match (self, turn) {
             (Arithmetic::Hesai { cos_v, sin_v, turned }, TurnTable::Tables(table)) => {
-                let [cos, sin] = *table.get((tick + turned) % table.len());
+                let [cos, sin] = *table.get(turned_tick(tick, *turned, table.len()));
                 let flat = (metres * f64::from(*cos_v)) as f32;
                 [flat * sin, flat * cos, (metres * f64::from(*sin_v)) as f32]
             }
@@ -618,7 +618,7 @@ impl Arithmetic {
         match (self, turn) {
             (Arithmetic::Single(laser), TurnTable::Tables(table)) => laser.position(*table.get(tick), metres),
             (Arithmetic::Tables { cos_v, sin_v, turned, along, up, is_fused }, TurnTable::Tables(table)) => {
-                let [cos, sin] = *table.get((tick + turned) % table.len());
+                let [cos, sin] = *table.get(turned_tick(tick, *turned, table.len()));
                 let [cos_t, sin_t] = *table.get(tick);
                 let flat = metres * cos_v;
                 match is_fused {
@@ -648,7 +648,7 @@ impl Arithmetic {
                 }
             }
             Arithmetic::Ls { cos_v, sin_v, turned, offset, along, up, .. } => {
-                let angle = f64::from((tick + turned) % table.len()) * degrees;
+                let angle = f64::from(turned_tick(tick, *turned, table.len())) * degrees;
                 let (turned, start) = (angle * LS_DEGREE, (angle - offset) * LS_DEGREE);
                 let flat = metres * cos_v;
                 [
@@ -658,7 +658,7 @@ impl Arithmetic {
                 ]
             }
             Arithmetic::RosRslidar { cos_v, sin_v, turned } => {
-                let [cos, sin] = *table.get((tick + turned) % table.len());
+                let [cos, sin] = *table.get(turned_tick(tick, *turned, table.len()));
                 let flat = metres * cos_v;
                 [flat * cos, -(flat * sin), metres * sin_v]
             }
@@ -708,6 +708,13 @@ pub(super) const TURNED_ERROR: f64 = 2e-14;
 #[inline(always)]
 fn turned_by<V: Real>([cos, sin]: [V; 2], [cos_o, sin_o]: [V; 2]) -> [V; 2] {
     [cos * cos_o - sin * sin_o, sin * cos_o + cos * sin_o]
+}
+
+/// A tick turned by an offset in ticks; both are less than a turn. Divisions are slow.
+#[inline(always)]
+fn turned_tick(tick: u32, turned: u32, turn: u32) -> u32 {
+    let sum = tick + turned;
+    if sum < turn { sum } else { sum - turn }
 }
 
 /// Whether neither cosine nor sine by [`turned_by`] is so small that its sign is uncertain.

@@ -426,27 +426,39 @@ impl Firings {
     /// file: firing by firing and slot by slot, or line by line.
     pub fn file_order(&self, image: &RangeImage) -> Vec<Return> {
         let width = image.columns.len();
-        let mut returns = Vec::with_capacity(image.records());
         let cells = image.steps.cells();
         let span = |column: usize| Span::unpacked(image.spans.get(column).copied().unwrap_or(0));
+        let has_one_tick = self.build.timing == Timing::Together && self.lags.is_empty();
+        let mut returns = Vec::with_capacity(image.records());
+        // The cells of a column or a line. Each is written, and then kept or overwritten: branches on cells
+        // without a return would often be predicted wrongly.
+        let mut part = vec![Return::default(); self.rows().max(width) + 1];
+        let add = |part: &mut [Return], count: &mut usize, found: Return| {
+            part[*count] = found;
+            *count += usize::from(found.steps > 0 || image.is_full);
+        };
         if self.rows_of_lines.is_empty() {
             for (column, &base) in image.columns.iter().enumerate() {
-                let span = span(column);
+                let (span, mut count) = (span(column), 0);
                 for (slot, &row) in self.rows_of_slots.iter().enumerate() {
+                    let tick = match has_one_tick {
+                        true => base,
+                        false => self.tick_of_slot(slot, row as usize, base, span),
+                    };
                     let steps = cells[row as usize * width + column];
-                    if steps > 0 || image.is_full {
-                        let tick = self.tick_of_slot(slot, row as usize, base, span);
-                        returns.push(Return { row, column: column as u32, tick, steps, echo: 0 });
-                    }
+                    add(&mut part, &mut count, Return { row, column: column as u32, tick, steps, echo: 0 });
                 }
+                returns.extend_from_slice(&part[..count]);
             }
         } else {
             for &row in &self.rows_of_lines {
+                let mut count = 0;
                 let line = image.steps.row(row as usize).iter().zip(&image.columns).enumerate();
-                for (column, (&steps, &base)) in line.filter(|(_, (steps, _))| **steps > 0 || image.is_full) {
+                for (column, (&steps, &base)) in line {
                     let tick = self.tick(row as usize, base, span(column));
-                    returns.push(Return { row, column: column as u32, tick, steps, echo: 0 });
+                    add(&mut part, &mut count, Return { row, column: column as u32, tick, steps, echo: 0 });
                 }
+                returns.extend_from_slice(&part[..count]);
             }
         }
         if image.echoes.is_empty() { returns } else { with_echoes(&returns, image) }
