@@ -101,6 +101,8 @@ impl Orientation {
     /// first, each counterclockwise from straight ahead. `None` if there are no such rows.
     pub fn of_rows(positions: &[[f32; 3]]) -> Option<Self> {
         const FEWEST_ROWS: f64 = 15.0;
+        /// Number of points by whose heights the first rows are compared with the last ones.
+        const SAMPLE: usize = 8000;
         /// How many times as great as those elsewhere steps from row to row are at least.
         const CLEAR: f64 = 2.0;
         let axis = axis_of_rotation(positions)?;
@@ -108,7 +110,8 @@ impl Orientation {
         if turns.abs() < FEWEST_ROWS {
             return None;
         }
-        let height = |part: &[[f32; 3]]| part.iter().map(|position| sine(position, axis)).sum::<f64>();
+        let height =
+            |part: &[[f32; 3]]| thinned(part, SAMPLE).map(|position| sine(position, axis)).sum::<f64>();
         let quarter = positions.len() / 4;
         let is_reversed = height(&positions[..quarter]) < height(&positions[positions.len() - quarter..]);
         let candidates = Self::around((axis, is_reversed), (turns > 0.0) != is_reversed);
@@ -142,11 +145,18 @@ impl Orientation {
     /// The median change of elevation, as a sine, from one point to the next where this passes the direction
     /// straight ahead; 0 if none does.
     fn step_ahead(self, positions: &[[f32; 3]]) -> f64 {
-        let pairs =
-            positions.windows(2).map(|pair| [pair[0], pair[1]].map(|position| self.to_scanner(position)));
-        let passes =
-            |[last, next]: &[[f32; 3]; 2]| last[0] > 0.0 && next[0] > 0.0 && last[1] < 0.0 && next[1] >= 0.0;
-        let step = |[last, next]: [[f32; 3]; 2]| (sine(&next, 2) - sine(&last, 2)).abs();
+        // Few pairs pass, and all are looked at four times: only the signs of two of their coordinates.
+        let along = |position: &[f32; 3], axis: usize| {
+            let (of_file, is_reversed) = self.0[axis];
+            signed(position[of_file], is_reversed)
+        };
+        let passes = |pair: &&[[f32; 3]]| {
+            let is_ahead = || pair.iter().all(|position| along(position, 0) > 0.0);
+            along(&pair[0], 1) < 0.0 && along(&pair[1], 1) >= 0.0 && is_ahead()
+        };
+        let height = |position: &[f32; 3]| sine(&self.to_scanner(*position), 2);
+        let step = |pair: &[[f32; 3]]| (height(&pair[1]) - height(&pair[0])).abs();
+        let pairs = positions.windows(2);
         let mut steps = pairs.filter(passes).map(step).peekable();
         if steps.peek().is_some() { median(steps) } else { 0.0 }
     }

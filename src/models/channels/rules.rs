@@ -315,20 +315,28 @@ impl RuleState {
         /// The number of records that are examined: of a few packets.
         const SAMPLE: usize = 1024;
         let known: Vec<(Site, i64)> = known.flatten().take(SAMPLE).collect();
-        let changes = |&phase: &u32| {
+        // Counts up to `most` changes.
+        let changes = |phase: u32, most: usize| {
             let sums = known.iter().map(|(site, integer)| {
                 let column = site.column.wrapping_add(phase) % rule.columns();
                 (entry(rule, site.key, column), integer.wrapping_sub(site.geometry.unwrap_or(0)))
             });
             if self.are_rounded {
-                return self.rounded.changes(sums);
+                return self.rounded.changes(sums, most);
             }
             let bases =
                 sums.filter_map(|(entry, integer)| Some(integer.wrapping_sub(self.offsets.get(entry)?)));
             let mut last = None;
-            bases.filter(|&base| last.replace(base) != Some(base)).count()
+            bases.filter(|&base| last.replace(base) != Some(base)).take(most).count()
         };
-        (0..rule.columns()).min_by_key(changes).unwrap_or(0)
+        let (mut likely, mut least) = (0, usize::MAX);
+        for phase in 0..rule.columns() {
+            let changes = changes(phase, least);
+            if changes < least {
+                (likely, least) = (phase, changes);
+            }
+        }
+        likely
     }
 
     #[inline(always)]
@@ -484,8 +492,8 @@ impl RoundedSums {
         RoundedOffset { value: sum - middle(base), error: half + 0.5 * (base[1] - base[0]) }
     }
 
-    /// How often the base changes from sum to sum, each with its entry.
-    fn changes(&self, sums: impl Iterator<Item = (usize, i64)>) -> usize {
+    /// How often the base changes from sum to sum, each with its entry; `most` if it is more often.
+    fn changes(&self, sums: impl Iterator<Item = (usize, i64)>, most: usize) -> usize {
         let bases = sums.filter_map(|(entry, rank)| {
             let (sum, half) = rounded(rank)?;
             Some(self.offsets.get(entry)?.base_of(sum, half))
@@ -496,7 +504,7 @@ impl RoundedSums {
             last = shared.unwrap_or(*base);
             shared.is_none()
         };
-        bases.filter(changes).count()
+        bases.filter(changes).take(most).count()
     }
 }
 

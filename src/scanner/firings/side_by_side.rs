@@ -32,16 +32,16 @@ pub(super) fn positions(
         _ => None,
     });
     if let (Some(lasers), TurnTable::Tables(table)) = (singles.collect(), turn) {
-        return dispatch(Filling { returns, step, recipe: InSingle { lasers, table }, exactly });
+        return dispatch(Filling { returns, step, formula: InSingle { lasers, table }, exactly });
     }
     if let (Some(lasers), TurnTable::Degrees(_, table)) = (doubles.collect(), turn) {
-        return dispatch(Filling { returns, step, recipe: InDouble { lasers, table }, exactly });
+        return dispatch(Filling { returns, step, formula: InDouble { lasers, table }, exactly });
     }
     returns.iter().map(exactly).collect()
 }
 
-/// The recipe of a scanner, and what it has for each laser and tick.
-trait Recipe {
+/// The formula of a recipe, and what it uses of each laser and tick.
+trait Formula {
     /// Computes the positions of returns; `step` is one range step in metres. Returns whether they are right:
     /// otherwise they must be computed one by one.
     fn fill<S: Simd>(&self, simd: S, returns: &[Return; N], step: f64, positions: &mut [[f32; 3]; N])
@@ -49,15 +49,15 @@ trait Recipe {
 }
 
 /// The computation of all positions, as a type so that it can be compiled for several vector units.
-struct Filling<'a, R, E> {
+struct Filling<'a, F, E> {
     returns: &'a [Return],
     step: f64,
-    recipe: R,
+    formula: F,
     /// The position of one return.
     exactly: E,
 }
 
-impl<R: Recipe, E: Fn(&Return) -> [f32; 3]> WithSimd for Filling<'_, R, E> {
+impl<F: Formula, E: Fn(&Return) -> [f32; 3]> WithSimd for Filling<'_, F, E> {
     type Output = Vec<[f32; 3]>;
 
     #[inline(always)]
@@ -66,7 +66,7 @@ impl<R: Recipe, E: Fn(&Return) -> [f32; 3]> WithSimd for Filling<'_, R, E> {
         let (blocks, rest) = self.returns.as_chunks::<N>();
         let (filled, last) = positions.as_chunks_mut::<N>();
         for (returns, positions) in blocks.iter().zip(filled) {
-            if !self.recipe.fill(simd, returns, self.step, positions) {
+            if !self.formula.fill(simd, returns, self.step, positions) {
                 one_by_one(returns, &self.exactly, positions);
             }
         }
@@ -87,7 +87,7 @@ struct InSingle<'a> {
     table: &'a LazyTable<[f32; 2]>,
 }
 
-impl Recipe for InSingle<'_> {
+impl Formula for InSingle<'_> {
     #[inline(always)]
     fn fill<S: Simd>(&self, _: S, returns: &[Return; N], step: f64, positions: &mut [[f32; 3]; N]) -> bool {
         let ticks: [u32; N] = lanes(|i| returns[i].tick);
@@ -113,7 +113,7 @@ struct InDouble<'a> {
     table: &'a LazyTable<[f64; 2]>,
 }
 
-impl Recipe for InDouble<'_> {
+impl Formula for InDouble<'_> {
     #[inline(always)]
     fn fill<S: Simd>(
         &self,
