@@ -311,6 +311,7 @@ mod tests {
     use pulp::WithSimd;
 
     use super::*;
+    use crate::ground::angle;
     use crate::ground::lanes::dispatch;
 
     const N: usize = 8;
@@ -352,6 +353,52 @@ mod tests {
         for (results, holds) in [dispatch(Formula), Formula.with_simd(pulp::Scalar::new())] {
             assert_eq!(bits(results), bits(singly));
             assert_eq!(holds, [true, true, false, false, false, false, false, false]);
+        }
+    }
+
+    /// Of two values, what formulas choose: some of it through each function of [`Choose`].
+    fn chosen<V: Choose>(x: V, y: V) -> [V; 3] {
+        let less = V::select(x.is_at_most(y), x.copysign(y), y.abs());
+        let near = V::select(x.is_above(-1.0) & y.is_below(2.0), x.splat(7.0), x.map(|value| 3.0 * value));
+        [less, near, angle::atan2(y, x)]
+    }
+
+    /// The choices for each pair of [`VALUES`], and whether any of the values is above 2 and above infinity.
+    struct Chosen;
+
+    impl WithSimd for Chosen {
+        type Output = (Vec<[f64; N]>, [bool; 2]);
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+            let mut results = vec![[0.0; N]; 3 * N];
+            let mut any = [false; 2];
+            for part in 0..N / S::F64_LANES {
+                let x = Doubles::load(simd, &VALUES, part);
+                any[0] |= Doubles::any(x.is_above(2.0));
+                any[1] |= Doubles::any(x.is_above(f64::INFINITY));
+                for (turn, results) in results.chunks_exact_mut(3).enumerate() {
+                    let y = Doubles::of(simd, |i| VALUES[(part * S::F64_LANES + i + turn) % N]);
+                    let values = chosen(x, y);
+                    (0..3).for_each(|i| values[i].store(&mut results[i], part));
+                }
+            }
+            (results, any)
+        }
+    }
+
+    #[test]
+    fn vectors_choose_as_single_values_do() {
+        let bits = |value: f64| if value.is_nan() { 0 } else { value.to_bits() };
+        for (results, any) in [dispatch(Chosen), Chosen.with_simd(pulp::Scalar::new())] {
+            assert_eq!(any, [true, false]);
+            for (turn, results) in results.chunks_exact(3).enumerate() {
+                for i in 0..N {
+                    let singly = chosen(VALUES[i], VALUES[(i + turn) % N]);
+                    let found = [0, 1, 2].map(|result| results[result][i]);
+                    assert_eq!(found.map(bits), singly.map(bits), "{} {turn}", VALUES[i]);
+                }
+            }
         }
     }
 
