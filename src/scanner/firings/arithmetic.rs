@@ -219,8 +219,8 @@ impl Single {
         if self.is_turned { [-x, y, z] } else { [x, -y, z] }
     }
 
-    /// For several lasers, the distances to the sides of the axes and up, each from the cosine and the sine of
-    /// a tick: the coordinates by most recipes, but for the sign of y.
+    /// The coordinates of several ranges by most recipes, but for the sign of y: each by a laser of its own, and
+    /// given cosine and sine of its tick.
     #[inline(always)]
     pub fn positions<const N: usize>(
         lasers: &[&Self; N],
