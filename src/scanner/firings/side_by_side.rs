@@ -156,6 +156,7 @@ impl Formula for InDouble<'_> {
         let single = |values: [f64; N]| -> [f32; N] { lanes(|i| values[i] as f32) };
         let ([low_x, high_x], [low_y, high_y]) = ([single(x[0]), single(x[1])], [single(y[0]), single(y[1])]);
         let z = single(z);
+        // Signs are certain, so that equal numbers are the same bits.
         let mut are_sure = true;
         for i in 0..N {
             are_sure &= (low_x[i] == high_x[i]) & (low_y[i] == high_y[i]);
