@@ -203,6 +203,22 @@ fn points_moved_by_their_time_stamps_take_little_more_than_what_was_measured() {
 }
 
 #[test]
+fn single_scans_that_were_moved_by_fractions_of_a_step_take_little_more() {
+    let motions = [
+        ([1.2e-5, 0.0, 0.0], [-4.8e-5, -5.1e-5, 2.38e-4]),
+        ([0.0, 1.5e-5, 0.0], [3e-5, 8e-5, -2.6e-4]),
+        ([4e-5, -3e-5, 2e-5], [2e-4, -3e-4, 4e-4]),
+        ([-6e-5, 2e-5, 1e-5], [1e-4, 1e-4, 6e-4]),
+    ];
+    let scans = by_stamps(Recipe::Pandar64, &motions, 6);
+    let before = encode_files(&scans.files([&scans.measured]), &EncoderConfig::default()).len();
+    for (points, motion) in scans.moved.iter().zip(motions) {
+        let stream = round_trip(&scans.files([points]), &EncoderConfig::default());
+        assert!(stream.len() < before + 1000, "{motion:?}: {} bytes, measured {before}", stream.len());
+    }
+}
+
+#[test]
 fn what_a_sort_by_time_shuffles_takes_no_more() {
     let scans = by_stamps(Recipe::Pandar64, &STANDING, 6);
     let Stamped { moved, times, .. } = &scans;

@@ -285,8 +285,10 @@ fn published_timings_are_found_to_the_last_bit() {
 }
 
 #[test]
-fn both_versions_of_robosenses_driver_are_found() {
-    for recipe in [Recipe::RoboSense, Recipe::RoboSenseEarly] {
+fn all_versions_of_robosenses_driver_are_found() {
+    for recipe in
+        [Recipe::RoboSense, Recipe::RoboSenseEarly, Recipe::RoboSenseFused, Recipe::RoboSenseEarlyFused]
+    {
         let truth = made_up(recipe);
         let points = points(&truth, &image(&truth, 1));
         let (found, share) = fit(&[file(&points)]).expect("found");
@@ -605,6 +607,39 @@ fn rows_of_a_vlp_16_are_put_back_into_firings() {
     let size =
         |points: &Points| round_trip(&files(std::slice::from_ref(points)), &EncoderConfig::default()).len();
     assert!(size(&rows) < size(&points) * 11 / 10, "{} bytes, not {}", size(&rows), size(&points));
+}
+
+/// An image with a line for each laser and a column for each step of the azimuth, as SLAM programs make them:
+/// the returns of a column may be of neighbouring firings, and some steps pass between two firings. Cells
+/// without a return are `blank`.
+fn in_steps_of_azimuth(scan: &Points, columns: usize, blank: [f32; 4]) -> Points {
+    let mut image = vec![blank; VLP_16_ELEVATIONS.len() * columns];
+    for point in scan {
+        let [x, y, z] = [point[0], point[1], point[2]].map(f64::from);
+        let elevation = libm::atan2(z, libm::hypot(x, y)).to_degrees();
+        let row = ((elevation + 15.0) / 2.0).round() as usize;
+        let column = (libm::atan2(x, y) / TAU).rem_euclid(1.0) * columns as f64;
+        image[row * columns + column as usize % columns] = *point;
+    }
+    image
+}
+
+#[test]
+fn images_with_a_column_for_each_step_of_the_azimuth_show_the_scanner() {
+    let scans = scans(&config(9, 2, 1));
+    for blank in [[f32::NAN, f32::NAN, f32::NAN, -1.0], [0.0; 4]] {
+        let images: Vec<Points> = scans.iter().map(|scan| in_steps_of_azimuth(scan, 1999, blank)).collect();
+        let returns =
+            images.iter().flatten().filter(|point| point[3].to_bits() != blank[3].to_bits()).count();
+        let scanner = fitted(&images[0]);
+        assert_eq!((scanner.build().recipe, scanner.build().range_step_um), (Recipe::VelodyneRos, 2000));
+        let (exact, inexact, _) = counts(&scanner, &images[0]);
+        assert!(inexact * 1000 < exact && exact * 100 > 98 * returns / 2, "{exact}, {inexact} of {returns}");
+        let stream = round_trip(&files(&images), &EncoderConfig::default());
+        let (_, groups) = take_apart(&stream);
+        let blanks = bytes_of(SectionKind::Blanks, &groups) + bytes_of(SectionKind::Strays, &groups);
+        assert!(blanks < 200, "{blanks} bytes for records without a return");
+    }
 }
 
 #[test]

@@ -394,6 +394,11 @@ fn recipes() -> Vec<Recipe> {
         EncoderConfig::default(),
     );
     exact(
+        "firings-off-axis-early-fused",
+        || firings_files(firings::Recipe::RoboSenseEarlyFused, Cells::Returns),
+        EncoderConfig::default(),
+    );
+    exact(
         "firings-focal-point",
         || firings_files(firings::Recipe::VelodyneDecoder, Cells::Returns),
         EncoderConfig::default(),

@@ -53,6 +53,7 @@ fn what_every_program_moved_is_reproduced_to_the_last_bit() {
         TransformOrder::SingleFused,
         TransformOrder::Double,
         TransformOrder::DoubleRoundedTwice,
+        TransformOrder::SingleHalved,
     ]) {
         let moved = mover.moved(scan, DEGREES, METRES);
         let (scanner, mounting) = fitted(file(&moved));
@@ -227,7 +228,7 @@ fn a_scanner_whose_firings_are_no_planes_is_found() {
 fn records_without_a_return_are_moved_with_the_others() {
     let scanner = made_up(Recipe::DoubleYAhead).line_by_line((0..32).rev().collect());
     let image = RangeImage { is_full: true, ..image(&scanner, 1) };
-    let moved = Mover::Eigen.moved(&points(&scanner, &image), DEGREES, METRES);
+    let moved = Mover::LeftToRight.moved(&points(&scanner, &image), DEGREES, METRES);
     let (found, _) = fitted(file(&moved));
     let projection = found.project(&file(&moved).cloud, REACH);
     assert!(projection.image.is_full && projection.strays.is_empty(), "{} strays", projection.strays.len());

@@ -34,7 +34,7 @@ pub struct DecodedScan {
 /// How well a frame's scanner explains it.
 #[derive(Clone, Copy, Debug)]
 pub struct Explained {
-    /// Number of points of the file.
+    /// Number of records of the file, without the strays that have no direction: those were not measured.
     pub points: u64,
     /// The number of these in the range image, including echoes and blanks.
     pub in_image: u64,
@@ -107,7 +107,7 @@ impl<S: Borrow<Scanner>> GroupDecoder<S> {
         stages.original = stages.original.saturating_add(original);
         stages.count_sections(sections);
         let explained = scanner.filter(|_| self.judges_scanners).map(|scanner| Explained {
-            points: frame.records as u64,
+            points: frame.records.saturating_sub(frame.strays.without_direction()) as u64,
             in_image: frame.returns.len() as u64,
             reproduced: frame.reproduced_returns(scanner) as u64,
         });

@@ -19,7 +19,7 @@ use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::inter::registration::QuantisedPose;
 use crate::models::{OrderExceptions, PointTrail, RecordContext};
-use crate::scan::{Channel, Layout, PointCloud, ScanFile, sorted};
+use crate::scan::{Channel, Layout, PointCloud, ScanFile, has_direction, sorted};
 use crate::scanner::hdl64::project_nearest;
 use crate::scanner::motion::{self, Compensation, by_time};
 use crate::scanner::{Orientation, Projection, REACH, RangeImage, Return, Scanner};
@@ -86,6 +86,13 @@ pub struct Strays {
     /// The trail of each, if the model of points coded them.
     pub trails: Vec<PointTrail>,
     pub intensity: Vec<f32>,
+}
+
+impl Strays {
+    /// The number of those without a direction, such as records without a return.
+    pub fn without_direction(&self) -> usize {
+        self.positions.iter().filter(|position| !has_direction(position)).count()
+    }
 }
 
 /// The points of a scan that is being encoded, and their cells in the range image.

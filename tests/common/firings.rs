@@ -15,13 +15,13 @@ pub fn made_up(recipe: Recipe) -> Firings {
     let (ticks, range_step_um) = match recipe {
         Recipe::SingleRangeXAhead => (2048, 1000),
         recipe if recipe.measures_from_axis() => (1024, 1000),
-        Recipe::RoboSense | Recipe::RoboSenseEarly | Recipe::RoboSenseFused => (36_000, 2500),
+        recipe if is_robosense(recipe) => (36_000, 2500),
         Recipe::DoubleYAhead => (36_000, 2000),
         _ => (36_000, 4000),
     };
     let degrees = |thousandths: i64| thousandths * 1_000_000;
     let laser = |row: i64| match recipe {
-        Recipe::RoboSense | Recipe::RoboSenseEarly | Recipe::RoboSenseFused => Laser {
+        recipe if is_robosense(recipe) => Laser {
             elevation: degrees(15_000 - 1_230 * row),
             azimuth: degrees([2_270, -7_900, 2_320, -7_850][row as usize % 4]),
         },
@@ -32,9 +32,7 @@ pub fn made_up(recipe: Recipe) -> Firings {
         },
     };
     let origin = match recipe {
-        Recipe::RoboSense | Recipe::RoboSenseEarly | Recipe::RoboSenseFused => {
-            Origin { along_um: 34_980, up_um: 0 }
-        }
+        recipe if is_robosense(recipe) => Origin { along_um: 34_980, up_um: 0 },
         Recipe::LsLidar => Origin { along_um: 36_100, up_um: 0 },
         Recipe::Ouster | Recipe::OusterRos => Origin { along_um: 15_806, up_um: 38_195 },
         Recipe::OusterEarly => Origin { along_um: -12_163, up_um: 36_180 },
@@ -46,6 +44,12 @@ pub fn made_up(recipe: Recipe) -> Firings {
     let build =
         Build { recipe, ticks, range_step_um, coordinates, origin, timing: Timing::Together, mounting: None };
     Firings::new(build, (0..32).map(laser).collect(), (0..32).map(|slot| slot * 5 % 32).collect())
+}
+
+/// Whether it is a version of RoboSense's driver with a table of hundredths of degrees.
+fn is_robosense(recipe: Recipe) -> bool {
+    let plain = [Recipe::RoboSense, Recipe::RoboSenseEarly];
+    plain.contains(&recipe) || [Recipe::RoboSenseFused, Recipe::RoboSenseEarlyFused].contains(&recipe)
 }
 
 /// A generator of pseudo-random numbers, each below the given end.
@@ -325,6 +329,8 @@ pub enum Mover {
     /// In single precision with vector units: the products of z and y are added to the translation first.
     Pcl,
     /// In single precision, from left to right.
+    LeftToRight,
+    /// In single precision, the first product apart from the other two.
     Eigen,
     /// In single precision with fused products and sums.
     NumPy,
@@ -335,7 +341,8 @@ pub enum Mover {
 }
 
 impl Mover {
-    pub const ALL: [Mover; 5] = [Mover::Pcl, Mover::Eigen, Mover::NumPy, Mover::NumPyDouble, Mover::NuScenes];
+    pub const ALL: [Mover; 6] =
+        [Mover::Pcl, Mover::LeftToRight, Mover::NumPy, Mover::NumPyDouble, Mover::NuScenes, Mover::Eigen];
 
     /// Points rotated about x, then about y, then about z by these degrees, and moved by these metres.
     pub fn moved(self, points: &Points, degrees: [f64; 3], metres: [f64; 3]) -> Points {
@@ -354,9 +361,14 @@ impl Mover {
                     let sum = y * q + sum;
                     x * p + sum
                 }
-                Mover::Eigen => {
+                Mover::LeftToRight => {
                     let sum = x * p + y * q;
                     let sum = sum + z * r;
+                    sum + t
+                }
+                Mover::Eigen => {
+                    let sum = y * q + z * r;
+                    let sum = x * p + sum;
                     sum + t
                 }
                 Mover::NumPy => {

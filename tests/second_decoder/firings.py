@@ -13,7 +13,7 @@ TOGETHER, VLP_16, ONE_FIRING, TWO_FIRINGS = range(4)
 WHOLE = 1 << 24
 
 # How the recipes' ranges are rounded, and which of them compute in double precision.
-SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13, 15, 16, 18, 20, 25, 27
+SINGLE_PRODUCT = 0, 3, 4, 8, 9, 13, 15, 16, 18, 20, 25, 27, 28
 ROUNDED_PRODUCT = 6, 7, 10, 19, 21, 24, 26
 DOUBLE = 1, 2, 3, 5, 11, 12, 14, 17, 22, 23, 25
 GLIBC = 6, 7, 8, 9, 15, 16, 19, 20, 21, 22, 23
@@ -25,8 +25,8 @@ OUSTER = 11, 12, 17
 UNROUNDED = 1, 2, 3, 5, 25
 PANDAR_64 = 10, 26
 ROBOSENSE, LSLIDAR, APOLLO, ONCE, OUSTER_EARLY, ROBOSENSE_EARLY = 4, 5, 13, 14, 17, 18
-HESAI_GENERAL_SDK, HESAI_SDK_2, ROS_RSLIDAR, ROBOSENSE_FUSED = 23, 24, 25, 27
-LAST = 27
+HESAI_GENERAL_SDK, HESAI_SDK_2, ROS_RSLIDAR, ROBOSENSE_FUSED, ROBOSENSE_EARLY_FUSED = 23, 24, 25, 27, 28
+LAST = 28
 
 SLOT, FIRING, BLOCK = map(f32, (2.304, 55.296, 110.592))
 LS_DEGREE = 0.017453293
@@ -130,7 +130,7 @@ class Scanner:
         if any(part > 2 * WHOLE for part in self.parts):
             raise Refused("more than two blocks")
         self.mounting = reader.varint()
-        if self.mounting > 6:
+        if self.mounting > 7:
             raise Refused("an unknown mounting")
         numbers = [unpack("<d", reader.take(8))[0] for _ in range(12 if self.mounting else 0)]
         if not all(abs(number) <= 1e6 for number in numbers):
@@ -152,6 +152,7 @@ class Scanner:
             OUSTER_EARLY: self.ouster,
             ROBOSENSE_EARLY: self.robosense,
             ROBOSENSE_FUSED: self.robosense,
+            ROBOSENSE_EARLY_FUSED: self.robosense,
             HESAI_GENERAL_SDK: self.hesai_general_sdk,
             HESAI_SDK_2: self.hesai_sdk_2,
             ROS_RSLIDAR: self.ros_rslidar,
@@ -215,6 +216,8 @@ class Scanner:
             return f32(f32(x * a) + f32(f32(y * b) + f32(f32(z * c) + t)))
         if self.mounting == 4:
             return f32(f32(f32(f32(x * a) + f32(y * b)) + f32(z * c)) + t)
+        if self.mounting == 7:
+            return f32(f32(f32(x * a) + f32(f32(y * b) + f32(z * c))) + t)
         return f32(fma(z, c, fma(y, b, f32(x * a))) + t)
 
     def measured_position(self, row, tick, steps, between):
@@ -251,7 +254,7 @@ class Scanner:
                 laser.height = f32(f32(self.along) * f32(tangent)) if self.recipe == 15 else f32(round(self.along * tangent * 1e5) / 1e5)
             laser.cos_v, laser.sin_v = self.cosine(v), self.sine(v)
             laser.direction = (self.cosine(offset), self.sine(offset)) if o else None
-        elif self.recipe == ROBOSENSE_EARLY:
+        elif self.recipe in (ROBOSENSE_EARLY, ROBOSENSE_EARLY_FUSED):
             laser.cos_v, laser.sin_v = self.direction_of_tick(round(e / 360 * self.ticks) % self.ticks)
         elif self.position == self.robosense:
             laser.cos_v, laser.sin_v = cos_single(radians(e)), sin_single(radians(e))
@@ -320,10 +323,11 @@ class Scanner:
             return flat * sin(a), flat * cos(a), d * laser.sin_v
         return flat * cos(a), -(flat * sin(a)), d * laser.sin_v
 
-    # Recipes 4, 18 and 27
+    # Recipes 4, 18, 27 and 28
 
     def direction_of_tick(self, tick):
-        a = radians(tick * (f32(self.tick_degrees) if self.recipe == ROBOSENSE_EARLY else self.tick_degrees))
+        is_early = self.recipe in (ROBOSENSE_EARLY, ROBOSENSE_EARLY_FUSED)
+        a = radians(tick * (f32(self.tick_degrees) if is_early else self.tick_degrees))
         return cos_single(a), sin_single(a)
 
     def robosense(self, laser, tick, d):
@@ -331,8 +335,8 @@ class Scanner:
         c0, s0 = self.of_tick(self.direction_of_tick, tick)
         flat = f32(d * laser.cos_v)
         along = f32(self.along)
-        if self.recipe == ROBOSENSE_FUSED:
-            x = fma(along, c0, f32(flat * c))
+        if self.recipe in (ROBOSENSE_FUSED, ROBOSENSE_EARLY_FUSED):
+            x = fma(along, c0, f32(flat * c)) if self.recipe == ROBOSENSE_FUSED else fma(flat, c, f32(along * c0))
             return x, fma(-flat, s, -f32(along * s0)), fma(d, laser.sin_v, f32(self.up))
         x = f32(f32(flat * c) + f32(along * c0))
         y = f32(f32(-flat * s) - f32(along * s0))

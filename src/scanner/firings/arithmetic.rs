@@ -69,7 +69,7 @@ impl TurnTable {
                     single_cos_sin(radians(f64::from(t) * tick))
                 }))
             }
-            Recipe::RoboSenseEarly => {
+            Recipe::RoboSenseEarly | Recipe::RoboSenseEarlyFused => {
                 TurnTable::Tables(LazyTable::new(ticks, move |t| single_cos_sin(early_radians(t, ticks))))
             }
             Recipe::Nebula => {
@@ -114,15 +114,15 @@ fn early_radians(tick: u32, ticks: u32) -> f64 {
 pub(super) enum Arithmetic {
     Single(Single),
     Double(Double),
-    /// Cosine and sine of the elevation; the azimuth offset in ticks; metres from the axis and up; whether sums are
-    /// rounded once, with their products.
+    /// Cosine and sine of the elevation; the azimuth offset in ticks; metres from the axis and up; which
+    /// products are rounded only with their sums.
     Tables {
         cos_v: f32,
         sin_v: f32,
         turned: u32,
         along: f32,
         up: f32,
-        is_fused: bool,
+        fused: Fused,
     },
     /// Cosine and sine of the elevation; the azimuth offset in ticks.
     Hesai {
@@ -296,6 +296,15 @@ impl<V: Choose> Directions<V> {
     }
 }
 
+/// The product of x that a compiler fused with the sum: of the start of the beam, or of the beam. If it is
+/// either, those of y and z are fused, too.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Fused {
+    Neither,
+    Start,
+    Beam,
+}
+
 impl Arithmetic {
     pub fn new(recipe: Recipe, laser: &Laser, origin: Origin, ticks: u32) -> Self {
         let elevation = radians(laser.elevation_degrees());
@@ -344,14 +353,23 @@ impl Arithmetic {
                     axes: recipe.axes(),
                 })
             }
-            Recipe::RoboSense | Recipe::RoboSenseEarly | Recipe::RoboSenseFused => {
+            Recipe::RoboSense
+            | Recipe::RoboSenseEarly
+            | Recipe::RoboSenseFused
+            | Recipe::RoboSenseEarlyFused => {
                 let elevation = match recipe {
-                    Recipe::RoboSenseEarly => early_radians(in_ticks(laser.elevation_degrees()), ticks),
+                    Recipe::RoboSenseEarly | Recipe::RoboSenseEarlyFused => {
+                        early_radians(in_ticks(laser.elevation_degrees()), ticks)
+                    }
                     _ => elevation,
                 };
                 let [cos_v, sin_v] = single_cos_sin(elevation);
-                let is_fused = recipe == Recipe::RoboSenseFused;
-                Arithmetic::Tables { cos_v, sin_v, turned, along: along as f32, up: up as f32, is_fused }
+                let fused = match recipe {
+                    Recipe::RoboSenseFused => Fused::Start,
+                    Recipe::RoboSenseEarlyFused => Fused::Beam,
+                    _ => Fused::Neither,
+                };
+                Arithmetic::Tables { cos_v, sin_v, turned, along: along as f32, up: up as f32, fused }
             }
             Recipe::HesaiGeneralSdk => {
                 let [cos_v, sin_v] = recipe.cos_sin(elevation as f32);
@@ -617,18 +635,19 @@ impl Arithmetic {
     fn single(&self, turn: &TurnTable, tick: u32, metres: f32) -> [f32; 3] {
         match (self, turn) {
             (Arithmetic::Single(laser), TurnTable::Tables(table)) => laser.position(*table.get(tick), metres),
-            (Arithmetic::Tables { cos_v, sin_v, turned, along, up, is_fused }, TurnTable::Tables(table)) => {
+            (Arithmetic::Tables { cos_v, sin_v, turned, along, up, fused }, TurnTable::Tables(table)) => {
                 let [cos, sin] = *table.get(turned_tick(tick, *turned, table.len()));
                 let [cos_t, sin_t] = *table.get(tick);
                 let flat = metres * cos_v;
-                match is_fused {
-                    true => [
-                        libm::fmaf(*along, cos_t, flat * cos),
-                        libm::fmaf(-flat, sin, -(along * sin_t)),
-                        libm::fmaf(metres, *sin_v, *up),
-                    ],
-                    false => [flat * cos + along * cos_t, -flat * sin - along * sin_t, metres * sin_v + up],
-                }
+                let x = match fused {
+                    Fused::Neither => {
+                        let (x, y) = (flat * cos + along * cos_t, -flat * sin - along * sin_t);
+                        return [x, y, metres * sin_v + up];
+                    }
+                    Fused::Start => libm::fmaf(*along, cos_t, flat * cos),
+                    Fused::Beam => libm::fmaf(flat, cos, along * cos_t),
+                };
+                [x, libm::fmaf(-flat, sin, -(along * sin_t)), libm::fmaf(metres, *sin_v, *up)]
             }
             _ => [0.0; 3],
         }

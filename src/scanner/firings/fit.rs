@@ -248,13 +248,15 @@ impl ScanFacts<'_> {
             Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
         });
         let sequence: Vec<(usize, u32)> = sequence.collect();
-        let (own, lines) = match grid {
-            Some(grid) => {
-                let order = grid.order(&places, &sequence, ticks);
-                (Some(order), if grid.shape.by_lines { grid.lines } else { Vec::new() })
-            }
-            None => self.order_and_lines(sequence, elevations.len(), ticks),
-        };
+        let slack = self.slack(ticks);
+        let (own, lines) =
+            match grid.filter(|grid| grid.columns_are_firings(&places, &sequence, ticks, slack)) {
+                Some(grid) => {
+                    let order = grid.order(&places, &sequence, ticks);
+                    (Some(order), if grid.shape.by_lines { grid.lines } else { Vec::new() })
+                }
+                None => self.order_and_lines(sequence, elevations.len(), ticks),
+            };
         let known = vlp_16(&elevations);
         // A VLP-16's lasers have no offsets: what the file shows are the ticks that pass while they fire.
         let own = own.map(|own| match &known {
@@ -580,8 +582,9 @@ impl RecordGrid {
         Some(RecordGrid { lines, shape })
     }
 
-    /// The order of the lasers, and the ticks by which each is ahead of the one with the most returns.
-    fn order(&self, places: &[(usize, usize)], sequence: &[(usize, u32)], ticks: u32) -> FiringOrder {
+    /// The ticks by which each row's returns are ahead of that of the row with the most returns, in the same
+    /// column.
+    fn ahead(&self, places: &[(usize, usize)], sequence: &[(usize, u32)], ticks: u32) -> Vec<Vec<i64>> {
         let rows = self.lines.len();
         let mut counts = vec![0u32; rows];
         places.iter().for_each(|(_, row)| counts[*row] += 1);
@@ -600,6 +603,37 @@ impl RecordGrid {
                 ahead[row].push(shorter_way(i64::from(tick) - i64::from(first), i64::from(ticks)));
             }
         }
+        ahead
+    }
+
+    /// Whether the returns of a column are those of one firing. In an image with a column for each step of the
+    /// azimuth, as SLAM programs make them, some are those of the firing before or after.
+    fn columns_are_firings(
+        &self,
+        places: &[(usize, usize)],
+        sequence: &[(usize, u32)],
+        ticks: u32,
+        slack: u32,
+    ) -> bool {
+        /// Minimum share of the returns that are as far ahead as most of their row.
+        const LEAST: f64 = 0.9;
+        /// Ticks by which returns of one firing differ, because the azimuth advances while lasers fire.
+        const ADVANCE: i64 = 2;
+        let near = ADVANCE + i64::from(slack);
+        let (mut inside, mut all) = (0, 0);
+        for mut ahead in self.ahead(places, sequence, ticks) {
+            ahead.sort_unstable();
+            let middle = ahead.get(ahead.len() / 2).copied().unwrap_or(0);
+            inside += ahead.iter().filter(|ticks| (**ticks - middle).abs() <= near).count();
+            all += ahead.len();
+        }
+        inside as f64 >= LEAST * all as f64
+    }
+
+    /// The order of the lasers, and the ticks by which each is ahead of the one with the most returns.
+    fn order(&self, places: &[(usize, usize)], sequence: &[(usize, u32)], ticks: u32) -> FiringOrder {
+        let rows = self.lines.len();
+        let ahead = self.ahead(places, sequence, ticks);
         let all: usize = ahead.iter().map(Vec::len).sum();
         let shift = |mut ahead: Vec<i64>| {
             ahead.sort_unstable();

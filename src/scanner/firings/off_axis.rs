@@ -141,19 +141,22 @@ impl ScanFacts<'_> {
             };
             let of_recipe = |recipe: Recipe| Some(judged(self.of_maker(maker, recipe, rows)?));
             let usual = of_recipe(maker.recipe)?;
-            let (ref scanner, exact, placed) = usual;
+            let (_, exact, placed) = usual;
             let is_robosense = maker.recipe == Recipe::RoboSense;
             // Fused operations change only some of the last bits, so nearly the same constants are right.
-            let may_be_fused = || {
-                let build = Build { recipe: Recipe::RoboSenseFused, ..scanner.build.clone() };
-                let fused = Firings::new(build, scanner.lasers.clone(), scanner.rows_of_slots.clone());
-                20 * exact < 19 * placed && judged(fused).1 > exact
+            let fused = |(scanner, exact, placed): &(Firings, usize, usize), recipe: Recipe| {
+                let may_be_fused = || {
+                    let build = Build { recipe, ..scanner.build.clone() };
+                    let fused = Firings::new(build, scanner.lasers.clone(), scanner.rows_of_slots.clone());
+                    20 * exact < 19 * placed && judged(fused).1 > *exact
+                };
+                (is_robosense && may_be_fused()).then(|| of_recipe(recipe)).flatten()
             };
-            let others = [
-                (is_robosense && 2 * exact < placed).then_some(Recipe::RoboSenseEarly),
-                (is_robosense && may_be_fused()).then_some(Recipe::RoboSenseFused),
-            ];
-            let better = others.into_iter().flatten().filter_map(of_recipe);
+            let is_early = is_robosense && 2 * exact < placed;
+            let early = is_early.then(|| of_recipe(Recipe::RoboSenseEarly)).flatten();
+            let early_fused = early.as_ref().and_then(|early| fused(early, Recipe::RoboSenseEarlyFused));
+            let others = [early_fused, early, fused(&usual, Recipe::RoboSenseFused)];
+            let better = others.into_iter().flatten();
             let better = better.filter(|(_, other, _)| *other > exact && (!are_moved || 10 * other > placed));
             Some(better.max_by_key(|(_, other, _)| *other).unwrap_or(usual))
         });

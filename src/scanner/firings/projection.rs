@@ -247,9 +247,18 @@ impl Firings {
     /// Projects a scan into a range image. Points that the recipe misses by more than `reach` metres along an
     /// axis, that are out of the order of the firings, or that have no return become strays.
     pub fn project(&self, cloud: &PointCloud, reach: f64) -> Projection {
-        let places = self.places(&cloud.positions, reach + 0.5 * self.range_step_m());
+        /// The minimum share of the returns, in an image of which every cell is a record, that are in their
+        /// firing's column. If columns are not firings, the others would be blanks at places of their own.
+        const LEAST_IN_COLUMNS: f64 = 0.98;
+        let found = || self.places(&cloud.positions, reach + 0.5 * self.range_step_m());
+        let mut places = found();
         if let Some(width) = self.full_width(&places, &cloud.positions) {
-            return self.project_full(places, width, &cloud.positions, reach);
+            let least = LEAST_IN_COLUMNS * places.len() as f64;
+            let projection = self.project_full(places, width, &cloud.positions, reach);
+            if projection.image.returns() as f64 >= least {
+                return projection;
+            }
+            places = found();
         }
         let (places, echoes) = without_echoes(places);
         let (places, echoes, columns) = match self.rows_of_lines.is_empty() {

@@ -83,6 +83,8 @@ pub enum Recipe {
     Pandar64InDegrees = 26,
     /// As `RoboSense`, compiled for a processor with fused multiplication and addition, such as ARM64.
     RoboSenseFused = 27,
+    /// As `RoboSenseEarly`, compiled for such a processor; x and y are fused with the other product.
+    RoboSenseEarlyFused = 28,
 }
 
 /// Axes of the coordinates.
@@ -94,7 +96,7 @@ pub(super) enum Axes {
 
 impl Recipe {
     /// Every recipe, in the order in which the fit tries them.
-    pub const ALL: [Recipe; 28] = [
+    pub const ALL: [Recipe; 29] = [
         Recipe::VelodyneRos,
         Recipe::DoubleYAhead,
         Recipe::DoubleXAhead,
@@ -123,6 +125,7 @@ impl Recipe {
         Recipe::RosRslidar,
         Recipe::Pandar64InDegrees,
         Recipe::RoboSenseFused,
+        Recipe::RoboSenseEarlyFused,
     ];
 
     /// The recipe of this number in the stream.
@@ -225,6 +228,9 @@ impl Recipe {
             Recipe::HesaiSdk2 => "arithmetic of Hesai's SDK 2",
             Recipe::RosRslidar => "arithmetic of RoboSense's ros_rslidar",
             Recipe::RoboSenseFused => "arithmetic of RoboSense's rs_driver with fused multiplication (ARM64)",
+            Recipe::RoboSenseEarlyFused => {
+                "arithmetic of RoboSense's early rs_driver with fused multiplication"
+            }
             Recipe::Ouster => "arithmetic of Ouster's SDK",
             Recipe::OusterRos => "arithmetic of Ouster's ROS driver",
             Recipe::OusterEarly => "arithmetic of Ouster's ROS driver of 2021",
@@ -245,6 +251,7 @@ impl Recipe {
             | Recipe::RoboSense
             | Recipe::RoboSenseEarly
             | Recipe::RoboSenseFused
+            | Recipe::RoboSenseEarlyFused
             | Recipe::RosRslidar
             | Recipe::Ouster
             | Recipe::OusterRos

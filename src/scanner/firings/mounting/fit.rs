@@ -319,7 +319,12 @@ impl Seen {
         let points = thinned(&cloud.positions, 4 * SAMPLE).filter_map(measurement).collect();
         let seen = Seen { build: found.build.clone(), lasers: found.lasers.clone(), points, parts: 1 };
         let recipes: &[Recipe] = match found.build.recipe {
-            Recipe::RoboSense => &[Recipe::RoboSense, Recipe::RoboSenseEarly, Recipe::RoboSenseFused],
+            Recipe::RoboSense => &[
+                Recipe::RoboSense,
+                Recipe::RoboSenseEarly,
+                Recipe::RoboSenseFused,
+                Recipe::RoboSenseEarlyFused,
+            ],
             _ => &[found.build.recipe],
         };
         let directions = recipes.iter().filter_map(|recipe| {

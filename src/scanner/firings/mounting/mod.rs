@@ -32,24 +32,28 @@ pub enum TransformOrder {
     DoubleRoundedTwice = 2,
     /// Single precision, the translation first: `x a + (y b + (z c + t))`: PCL.
     SingleShiftFirst = 3,
-    /// Single precision, the translation last: `((x a + y b) + z c) + t`: Eigen.
+    /// Single precision, the translation last: `((x a + y b) + z c) + t`.
     SingleShiftLast = 4,
     /// Single precision with fused products and sums: `fma(z, c, fma(y, b, x a)) + t`: NumPy.
     SingleFused = 5,
     /// Double precision, rounded once, as the points were not rounded before: programs that keep points in
     /// double precision until they write them.
     DoubleUnrounded = 6,
+    /// Single precision, a row of R times the point first: `(x a + (y b + z c)) + t`: Eigen, for matrices of a
+    /// size that is known when a program is compiled.
+    SingleHalved = 7,
 }
 
 impl TransformOrder {
     /// Every order.
-    pub const ALL: [TransformOrder; 6] = [
+    pub const ALL: [TransformOrder; 7] = [
         TransformOrder::Double,
         TransformOrder::DoubleRoundedTwice,
         TransformOrder::SingleShiftFirst,
         TransformOrder::SingleShiftLast,
         TransformOrder::SingleFused,
         TransformOrder::DoubleUnrounded,
+        TransformOrder::SingleHalved,
     ];
 
     /// The order of this number in the stream.
@@ -94,6 +98,7 @@ impl TransformOrder {
             TransformOrder::DoubleRoundedTwice => f64::from(turned(row) as f32) + row[3],
             TransformOrder::SingleShiftFirst => (x * a + (y * b + (z * c + t))).into(),
             TransformOrder::SingleShiftLast => (((x * a + y * b) + z * c) + t).into(),
+            TransformOrder::SingleHalved => ((x * a + (y * b + z * c)) + t).into(),
             TransformOrder::SingleFused => (libm::fmaf(z, c, libm::fmaf(y, b, x * a)) + t).into(),
         }
     }

@@ -12,7 +12,7 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 use super::{Moment, Stamped, parts};
 use crate::scan::{Channel, PointCloud, ScanFile};
-use crate::scanner::firings::{Firings, Moved, MovedBy, Sight, fit_moved};
+use crate::scanner::firings::{self, Firings, Moved, MovedBy, Sight, fit_moved};
 use crate::scanner::motion::cones::Cones;
 use crate::scanner::motion::many::Seen;
 use crate::scanner::motion::{Motion, Mover};
@@ -66,7 +66,37 @@ pub fn fit(sample: &[ScanFile], near: Option<&Firings>) -> Option<Firings> {
     /// Number of scans that are tried.
     const MOST: usize = 3;
     let has_times = |scan: &&ScanFile| candidates(&scan.cloud.channels).next().is_some();
-    sample.iter().filter(has_times).take(MOST).find_map(|scan| fit_scan(scan, near))
+    let found = sample.iter().filter(has_times).take(MOST).find_map(|scan| fit_scan(scan, near));
+    found.or_else(|| fit_half(sample.iter().find(has_times)?, near?))
+}
+
+/// As [`fit_scan`], from the half of a scan that was moved the least: constants that fit the whole scan, as far
+/// as it fits any, may be too far from the right ones for the motion to be found with them. `near` is found
+/// from the whole scan.
+fn fit_half(scan: &ScanFile, near: &Firings) -> Option<Firings> {
+    /// Parts of the motion of the points that are used.
+    const HALF: f64 = 0.5;
+    let points = points_without_parts(&scan.cloud)?;
+    let few: Vec<Point> = thinned(&points, SAMPLE).copied().collect();
+    let without = share(&Sight::new(near), few.iter(), &Motion::default());
+    if is_better(without, 0.0) || near.build().coordinates != CoordinateGrid::Float32 {
+        return None;
+    }
+    let (channel, _) = candidates(&scan.cloud.channels).next()?;
+    [Moment::Last, Moment::First].into_iter().find_map(|moment| {
+        let parts = parts(&scan.cloud.channels[channel], moment);
+        let half = (0u32..).zip(&parts).filter(|(_, part)| part.abs() < HALF).map(|(record, _)| record);
+        let half = ScanFile { cloud: scan.cloud.select(&half.collect::<Vec<_>>()), ..scan.clone() };
+        let of_half = firings::fit(std::slice::from_ref(&half))?;
+        let fitted = fit_scan(&half, Some(&of_half)).unwrap_or(of_half);
+        let few = with_parts(&few, &parts);
+        let reproduced = |sight: &Sight| {
+            let motion = search(sight, &few, Motion::default(), &ROUNDS)?;
+            Some(share(sight, few.iter(), &motion))
+        };
+        let is_found = reproduced(&Sight::new(&fitted)).is_some_and(|share| is_better(share, without));
+        is_found.then_some(fitted)
+    })
 }
 
 fn fit_scan(scan: &ScanFile, near: Option<&Firings>) -> Option<Firings> {
@@ -439,4 +469,48 @@ fn with_yaw(motion: Motion, beams: &[Vec<Point>]) -> Option<Motion> {
         }
     }
     None
+}
+
+#[cfg(all(test, feature = "study"))]
+mod tests {
+    use super::*;
+    use crate::files::parse;
+    use crate::scan::{Field, ScalarType};
+    use crate::study::synth::{SynthConfig, SynthScanner, drive};
+
+    /// A scan of a VLP-16 with a time stamp for each 32 returns, moved to where they would have been at the last.
+    fn moved_scan(motion: &Motion) -> ScanFile {
+        let config = SynthConfig { scanner: SynthScanner::Vlp16, frames: 1, ..SynthConfig::default() };
+        let points = drive(&config).next().expect("a frame").points;
+        let times: Vec<u8> = (0..points.len()).flat_map(|n| ((n / 32) as f64 * 1e-3).to_le_bytes()).collect();
+        let times = Channel { field: Field::new("timestamp", ScalarType::F64), bytes: times };
+        let mover = Mover::new(motion);
+        let moved = |([x, y, z, i], part): (&[f32; 4], f64)| {
+            let [x, y, z] = mover.at(part).moved([*x, *y, *z].map(f64::from)).map(|metres| metres as f32);
+            [x, y, z, *i]
+        };
+        let points: Vec<[f32; 4]> = points.iter().zip(parts(&times, Moment::Last)).map(moved).collect();
+        let bytes = points.as_flattened().iter().flat_map(|value| value.to_le_bytes()).collect();
+        let mut scan = parse("0.bin", bytes);
+        scan.cloud.channels.push(times);
+        scan
+    }
+
+    #[test]
+    fn half_of_a_scan_shows_the_scanner_of_all() {
+        let motion = Motion { rotation: [1.2e-5, 0.0, 0.0], translation: [-4.8e-5, -5.1e-5, 2.38e-4] };
+        let scan = moved_scan(&motion);
+        let near = firings::fit(std::slice::from_ref(&scan)).expect("a scanner that nearly fits");
+        let found = fit_half(&scan, &near).expect("a scanner that fits what was measured");
+        let (_, undone) = undo(&scan.cloud, &found).expect("the motion");
+        for axis in 0..3 {
+            let (rotation, translation) = (motion.rotation[axis], motion.translation[axis]);
+            assert!((undone.motion.rotation[axis] - rotation).abs() < 1e-6, "{undone:?}");
+            assert!((undone.motion.translation[axis] - translation).abs() < 1e-5, "{undone:?}");
+        }
+        // What was not moved needs no such search.
+        let scan = moved_scan(&Motion::default());
+        let exact = firings::fit(std::slice::from_ref(&scan)).expect("its scanner");
+        assert!(fit_half(&scan, &exact).is_none());
+    }
 }
