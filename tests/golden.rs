@@ -82,11 +82,13 @@ fn the_encoder_writes_every_golden_stream() {
     for (name, encode) in recipes() {
         let expected = fs::read(folder().join(&name).with_extension("lpc")).unwrap();
         let written = encode();
-        let checksums = [&written, &expected].map(|stream| crc32c::crc32c(stream));
-        assert_eq!(
-            (checksums[0], written.len()),
-            (checksums[1], expected.len()),
-            "{name}: the encoder has changed"
+        // Not by a checksum of the stream: as its parts end in theirs, that is the same whatever they hold.
+        let first = written.iter().zip(&expected).position(|(a, b)| a != b);
+        assert!(
+            written == expected,
+            "{name}: the encoder has changed: {} bytes, not {}, the first at {first:?}",
+            written.len(),
+            expected.len()
         );
     }
 }
