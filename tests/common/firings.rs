@@ -48,8 +48,10 @@ pub fn made_up(recipe: Recipe) -> Firings {
 
 /// Whether it is a version of RoboSense's driver with a table of hundredths of degrees.
 fn is_robosense(recipe: Recipe) -> bool {
-    let plain = [Recipe::RoboSense, Recipe::RoboSenseEarly];
-    plain.contains(&recipe) || [Recipe::RoboSenseFused, Recipe::RoboSenseEarlyFused].contains(&recipe)
+    matches!(
+        recipe,
+        Recipe::RoboSense | Recipe::RoboSenseEarly | Recipe::RoboSenseFused | Recipe::RoboSenseEarlyFused
+    )
 }
 
 /// A generator of pseudo-random numbers, each below the given end.

@@ -83,7 +83,7 @@ pub enum Recipe {
     Pandar64InDegrees = 26,
     /// As `RoboSense`, compiled for a processor with fused multiplication and addition, such as ARM64.
     RoboSenseFused = 27,
-    /// As `RoboSenseEarly`, compiled for such a processor; x and y are fused with the other product.
+    /// As `RoboSenseEarly`, compiled for such a processor, with x fused with its other product.
     RoboSenseEarlyFused = 28,
 }
 
