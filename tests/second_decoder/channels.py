@@ -63,7 +63,7 @@ class Channels:
             count = field.count
             if count > 8 or first + count > 64:
                 count = 0
-            self.columns += [Column() for _ in range(first + count - len(self.columns))]
+            self.columns += [Column(n) for n in range(len(self.columns), first + count)]
             models = self.columns[first : first + count]
             first += count
             found[n] = self.channel(bits, field, records, sources, models)
@@ -125,7 +125,8 @@ class Sources:
 
 
 class Column:
-    def __init__(self):
+    def __init__(self, number):
+        self.number = number
         self.integers = None
         self.rules = Rules()
         self.is_off = AdaptiveBit()
@@ -187,6 +188,8 @@ class Column:
         return found
 
     def code_levels(self, bits, scale, kind, records, beside):
+        if self.number > 15:
+            raise Refused("levels in a column with too high a number")
         has_exceptions = bits.plain(1)
         entries = palette(bits, MOST_LEVELS)
         rows = beside.rows or [0] * records

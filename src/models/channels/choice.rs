@@ -188,7 +188,8 @@ impl ColumnModel {
     fn likely_by_neighbours(&self, plain: Integers, column: &Column) -> Vec<Plan> {
         /// Sizes of parts are accurate to within one part in this number.
         const UNSURE: usize = 8;
-        let plans = [levels_plan(plain, column), image_plan(plain, column)];
+        let levels = if self.may_have_levels { levels_plan(plain, column) } else { None };
+        let plans = [levels, image_plan(plain, column)];
         let plans: Vec<Plan> = plans.into_iter().flatten().collect();
         if plans.len() < 2 {
             return plans;

@@ -16,12 +16,14 @@ use crate::models::numbers::{NumberGrid, Scale, number, write_number};
 use crate::scan::ScalarType;
 
 /// Adaptive models of a column.
-#[derive(Clone, Default)]
+#[derive(Clone)]
 pub struct ColumnModel {
     /// Allocated when it is first needed, because it is large.
     integers: Option<IntegersModel>,
     rules: RuleModel,
-    levels: Option<LevelsModel>,
+    /// Whether it may be coded as levels.
+    pub may_have_levels: bool,
+    pub(super) levels: Option<LevelsModel>,
     image: Option<ImageModel>,
     /// The type of the values and the plan by which it was last coded.
     last: Option<(ScalarType, Plan)>,
@@ -46,6 +48,20 @@ struct OffGrid<'m> {
 }
 
 impl ColumnModel {
+    /// The models of a column, which may be coded as levels or not.
+    pub fn new(may_have_levels: bool) -> Self {
+        ColumnModel {
+            integers: None,
+            rules: RuleModel::default(),
+            may_have_levels,
+            levels: None,
+            image: None,
+            last: None,
+            tried: None,
+            off: OffModel::default(),
+        }
+    }
+
     /// Codes the values of a column; a decoder passes zeros of the same length.
     ///
     /// # Errors
@@ -71,6 +87,9 @@ impl ColumnModel {
         }
         if plan.has_image() {
             sources.images.check()?;
+        }
+        if matches!(plan, Plan::Levels(_)) && !self.may_have_levels {
+            return Err(Error::corrupt("channels: levels in a column with too high a number"));
         }
         match plan {
             Plan::Constant => {

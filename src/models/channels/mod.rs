@@ -37,6 +37,10 @@ const MOST_ELEMENTS: usize = 8;
 /// Largest number of columns that have models of their own.
 const MOST_COLUMNS: usize = 64;
 
+/// Number of columns that may be coded as levels, the first ones: the models of levels take up to 34 MB a
+/// column.
+const COLUMNS_WITH_LEVELS: usize = 16;
+
 /// What is known about the records before their channels are coded: all in file order.
 #[derive(Clone, Debug, Default)]
 pub struct RecordContext {
@@ -136,8 +140,8 @@ impl ChannelsModel {
         order.sort_by_key(|&channel| channels[channel].field.scalar.size());
         let models = models_of_columns(order.iter().map(|&channel| channels[channel].field.count as usize));
         let columns = models.last().map_or(0, |models| models.end);
-        if self.columns.len() < columns {
-            self.columns.resize_with(columns, ColumnModel::default);
+        for number in self.columns.len()..columns {
+            self.columns.push(ColumnModel::new(number < COLUMNS_WITH_LEVELS));
         }
         let images = ImageSize { cells: context.cells().saturating_mul(columns as u64), most: most_cells };
         let bytes_model = self.bytes.get_or_insert_with(ByteModel::small);

@@ -393,7 +393,7 @@ fn frames_round_trip_by(way: Way, places: &[(u8, u8)], frames: &[Vec<f32>]) {
     };
     let images = ImageSize { cells: 0, most: 0 };
     let sources = Sources { channels: &[], known: &[], context: &context, images };
-    let (mut writer, mut reader) = (ColumnModel::default(), ColumnModel::default());
+    let (mut writer, mut reader) = (ColumnModel::new(true), ColumnModel::new(true));
     for frame in frames {
         let mut bytes: Vec<u8> = frame.iter().flat_map(|value| value.to_le_bytes()).collect();
         let mut encoder = ArithmeticEncoder::default();
@@ -435,6 +435,34 @@ fn images_of_channels_have_no_more_cells_than_allowed() {
 #[test]
 fn levels_may_all_be_off_the_scale() {
     frames_round_trip_by(Way::Levels, &[(0, 0), (1, 1)], &[vec![1.0, 2.0], vec![0.5; 2], vec![2.0, 0.5]]);
+}
+
+#[test]
+fn only_the_first_columns_are_coded_as_levels() {
+    let (picture, context) = grey_picture();
+    let channels = vec![picture; COLUMNS_WITH_LEVELS + 4];
+    let code = |mut model: ChannelsModel| {
+        let mut encoder = ArithmeticEncoder::default();
+        let all = Compressors::default();
+        model.code(&mut encoder, &mut channels.clone(), &context, all, u64::MAX).unwrap();
+        let have_levels = model.columns.iter().map(|column| column.levels.is_some()).collect::<Vec<_>>();
+        (have_levels, encoder.finish())
+    };
+    let decode = |bytes: &[u8]| {
+        let (mut decoder, mut decoded) = (ArithmeticDecoder::new(bytes), empty(&channels));
+        let decoded = ChannelsModel::default()
+            .code(&mut decoder, &mut decoded, &context, Compressors::default(), u64::MAX)
+            .map(|_| decoded);
+        decoded.map_err(|error| error.to_string())
+    };
+    let (have_levels, bytes) = code(ChannelsModel::default());
+    assert_eq!(have_levels.iter().rposition(|has| *has), Some(COLUMNS_WITH_LEVELS - 1));
+    assert_eq!(decode(&bytes).unwrap(), channels);
+    // An encoder that does not keep to this.
+    let columns = vec![ColumnModel::new(true); channels.len()];
+    let (have_levels, bytes) = code(ChannelsModel { columns, ..ChannelsModel::default() });
+    assert_eq!(have_levels.last(), Some(&true));
+    assert!(decode(&bytes).unwrap_err().contains("too high a number"));
 }
 
 #[test]
