@@ -375,18 +375,18 @@ pub fn recordings(data: &[u8]) {
         let compressed = compress(bytes, encoding, b"compressed").unwrap();
         assert!(payload(&compressed, encoding) == Some(b"compressed"));
     }
-    let _ = unpacked(bytes, encoding);
+    let _ = unpacked(bytes, encoding, Limits::default());
 }
 
 fn recording(bytes: &[u8]) {
     let filter = TopicFilter::default();
-    if let Ok(clouds) = Clouds::open(bytes, &filter) {
+    if let Ok(clouds) = Clouds::open(bytes, &filter, Limits::default()) {
         clouds.take(100).for_each(drop);
     }
-    let _ = examine(bytes, true, 1, &|| ());
+    let _ = examine(bytes, Some(Limits::default()), 1, &|| ());
     let (mut packed, mut again) = (Cursor::new(Vec::new()), Cursor::new(Vec::new()));
     let settings = Settings::exact().with_level(1).with_threads(1);
     let Ok(copied) = pack(Cursor::new(bytes), &mut packed, &settings, &filter, &|| ()) else { return };
-    unpack(&packed.get_ref()[..], &mut again, 1, &|| ()).unwrap();
+    unpack(&packed.get_ref()[..], &mut again, 1, Limits::default(), &|| ()).unwrap();
     assert!(same_messages(bytes, &again.get_ref()[..]).unwrap() == Some(copied.messages));
 }

@@ -8,7 +8,7 @@ use crate::common::scans::{Points, scans};
 use lidarpc::internals::study::synth::{SynthConfig, SynthScanner};
 use lidarpc::recordings::internals::{Encoding, points as points_of, scan};
 use lidarpc::recordings::{Clouds, CopySummary, TopicFilter, examine, pack, same_messages, unpack};
-use lidarpc::{Encoder, Error, Scans, Settings};
+use lidarpc::{Encoder, Error, Limits, Scans, Settings};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, WriteOptions};
 use predicates::prelude::PredicateBooleanExt;
@@ -102,7 +102,7 @@ fn packed(recording: &[u8], settings: &Settings, filter: &TopicFilter) -> (Vec<u
 
 fn unpacked(recording: &[u8]) -> (Vec<u8>, CopySummary) {
     let mut out = Cursor::new(Vec::new());
-    let copied = unpack(recording, &mut out, 2, &|| ()).unwrap();
+    let copied = unpack(recording, &mut out, 2, Limits::default(), &|| ()).unwrap();
     (out.into_inner(), copied)
 }
 
@@ -282,7 +282,7 @@ fn what_is_damaged_is_left_out_and_said_and_the_rest_is_taken() {
         let (restored, ..) = contents(&unpacked(&small).0);
         let differ = restored.iter().zip(&messages).filter(|(a, b)| a != b).count();
         assert_eq!((restored.len(), differ), (messages.len(), changed), "{expected}");
-        let found = examine(&damaged[..], true, 1, &|| ()).unwrap();
+        let found = examine(&damaged[..], Some(Limits::default()), 1, &|| ()).unwrap();
         assert_eq!(found.damage, Some(damage));
     }
 }
@@ -299,11 +299,14 @@ fn a_message_that_is_missing_is_told_by_the_statistics() {
     }
     out.finish().unwrap();
     let mut recording = out.into_inner().into_inner();
-    assert_eq!(examine(&recording[..], true, 1, &|| ()).unwrap().damage, None);
+    assert_eq!(examine(&recording[..], Some(Limits::default()), 1, &|| ()).unwrap().damage, None);
     let text = recording.windows(6).position(|bytes| bytes == b"second").unwrap();
     // A record of an application's own, which may be left out.
     recording[text - 22 - 9] = 200;
-    let damage = examine(&recording[..], true, 1, &|| ()).unwrap().damage.expect("a message is missing");
+    let damage = examine(&recording[..], Some(Limits::default()), 1, &|| ())
+        .unwrap()
+        .damage
+        .expect("a message is missing");
     assert_eq!(damage, "of 2 messages that its statistics count, 1 are there");
 }
 
@@ -323,11 +326,11 @@ fn an_input_that_fails_is_an_error_and_no_damage() {
     for place in [small.len() / 3, small.len() - 4] {
         let failing = || Failing(&small[..place]);
         let failed = |error: Error| assert_eq!(error.to_string(), "unplugged", "at byte {place}");
-        failed(examine(failing(), true, 1, &|| ()).unwrap_err());
-        failed(unpack(failing(), Cursor::new(Vec::new()), 1, &|| ()).unwrap_err());
+        failed(examine(failing(), Some(Limits::default()), 1, &|| ()).unwrap_err());
+        failed(unpack(failing(), Cursor::new(Vec::new()), 1, Limits::default(), &|| ()).unwrap_err());
         failed(same_messages(failing(), &small[..]).unwrap_err());
         let filter = TopicFilter::default();
-        let clouds = Clouds::open(failing(), &filter).unwrap();
+        let clouds = Clouds::open(failing(), &filter, Limits::default()).unwrap();
         failed(clouds.map(|cloud| cloud.map(drop)).find_map(Result::err).unwrap());
     }
 }
@@ -354,7 +357,7 @@ fn a_damaged_cloud_is_left_out_and_those_after_it_are_taken() {
     assert_eq!(restored_clouds.clouds + 1, copied.clouds);
     assert_eq!(contents(&restored).0.len() + 1, contents(&original).0.len());
     let filter = TopicFilter::default();
-    let mut clouds = Clouds::open(&damaged[..], &filter).unwrap();
+    let mut clouds = Clouds::open(&damaged[..], &filter, Limits::default()).unwrap();
     assert_eq!(clouds.by_ref().map(Result::unwrap).count() as u64 + 1, copied.clouds);
     assert!(clouds.damage().unwrap().contains("is left out"));
 }
@@ -365,14 +368,15 @@ fn clouds_become_a_stream_with_their_times() {
     let small = packed(&original, &Settings::default(), &TopicFilter::default()).0;
     // The clouds of the other topic are the same but big-endian, and one more without points.
     let of_rear = TopicFilter { topics: vec!["/rear/points".to_owned()] };
-    let rear: Vec<_> = Clouds::open(&original[..], &of_rear).unwrap().map(Result::unwrap).collect();
+    let rear: Vec<_> =
+        Clouds::open(&original[..], &of_rear, Limits::default()).unwrap().map(Result::unwrap).collect();
     assert_eq!(rear.iter().map(|scan| scan.len()).filter(|length| *length > 0).count(), 4);
     assert_eq!(rear[0].positions()[7], [0, 1, 2].map(|axis| turns(4)[0][7][axis]));
     for recording in [&original, &small] {
         let filter = TopicFilter { topics: vec!["/front/points".to_owned()] };
         let mut stream = Vec::new();
         let mut encoder = Encoder::new(&mut stream, Settings::default()).unwrap();
-        let clouds = Clouds::open(&recording[..], &filter).unwrap();
+        let clouds = Clouds::open(&recording[..], &filter, Limits::default()).unwrap();
         clouds.for_each(|cloud| encoder.push(cloud.unwrap()).unwrap());
         encoder.finish().unwrap();
         let scans = Scans::from_reader(&stream[..]).unwrap().map(Result::unwrap);
@@ -416,6 +420,17 @@ fn the_program_packs_and_unpacks() {
         (&true.into(), &clouds(&after, "compressed").into())
     );
     lidarpc(&["verify", &path("small.mcap"), "--against", &path(".")]).code(2);
+    // Clouds over the limits are left out, which is said.
+    for output in ["few.mcap", "few"] {
+        let run = lidarpc(&["decode", &path("small.mcap"), "--max-points", "1", "-o", &path(output)]);
+        run.code(3).stderr(predicates::str::contains("over the limit of 1"));
+    }
+    lidarpc(&["verify", &path("small.mcap"), "--max-points", "1"]).failure();
+    // What has no meaning for recordings is refused.
+    for odd in [&["--topic", "/front/points"][..], &["--format", "pcd"], &["--messages"]] {
+        lidarpc(&[&["decode", &path("small.mcap"), "-o", &path("odd.mcap")], odd].concat()).code(2);
+    }
+    lidarpc(&["encode", &path("drive.mcap"), "-o", &path("odd.mcap"), "--jobs", "2"]).code(2);
     // Only a recording becomes one.
     lidarpc(&["encode", &path("a"), "-o", &path("new.mcap")]).code(2);
     // An input that does not exist is named, not the output.

@@ -91,7 +91,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     let read = for_each_file("info", &args.inputs, |path| {
         let (info, damage) = match is_recording(path) {
             true => {
-                let listing = recording::examine(path, false, 1, Console::SILENT)?;
+                let listing = recording::examine(path, None, 1, Console::SILENT)?;
                 let damage = listing.check().err();
                 (Listed::Recording(listing), damage)
             }

@@ -10,7 +10,7 @@ use std::time::Instant;
 use crate::files::{FileFormat, convert, write};
 use crate::frame::settings::EncoderConfig;
 use crate::frame::{IntensityFidelity, PositionFidelity};
-use crate::ground::error::Error;
+use crate::ground::error::{Error, Limits};
 use crate::library::Settings;
 use crate::recordings::{self, Clouds, Contents, CopySummary, Topic, TopicFilter};
 use crate::stream::{self, FrameInput};
@@ -23,7 +23,7 @@ use super::console::Console;
 use super::conversion::name_of_points;
 use super::errors::{NotWhole, about};
 use super::input::{is_dash, is_named_as_recording};
-use super::output::{FileOutput, FolderOutput, keep_inputs, print_json};
+use super::output::{FileOutput, FolderOutput, keep_inputs, name_of_output, print_json};
 use super::readable;
 use super::report::{FidelityReport, fidelity};
 
@@ -152,6 +152,7 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> Re
             (args.resume, "--resume takes scans, not a recording"),
             (args.all, "--all keeps the files of folders; all that a recording holds is kept without it"),
             (args.rm, "--rm deletes scans, not a recording"),
+            (args.jobs.is_some(), "--jobs is for folders of drives; give --threads"),
             (
                 args.coding.layout.is_some(),
                 "--layout is for files without a header; clouds name their fields",
@@ -199,7 +200,7 @@ fn pack(args: &EncodeArgs, input: &Path, config: &EncoderConfig, console: Consol
     if args.verify {
         verify(input, &output, &copied, args.threads.threads)?;
     }
-    output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
+    output.finish().map_err(|error| about(error, &name_of_output(args.output())))?;
     let report = Report::of(args.output(), &copied, 0, Some((config, args.verify)), start);
     report.print(args.json, console, |report| report.summary(Some(config)))?;
     check_whole(input, copied.damage.as_deref())
@@ -210,13 +211,14 @@ fn encode_clouds(args: &EncodeArgs, input: &Path, config: &EncoderConfig, consol
     if args.verify {
         wrong_usage("encode", "--verify compares a recording with a recording; give -o FILE.mcap");
     }
-    let name = args.output().display().to_string();
+    let name = name_of_output(args.output());
     let start = Instant::now();
     let bar = console.bar(None, "encoding");
     let mut output = FileOutput::binary(args.output(), args.force)?;
     let filter = TopicFilter { topics: args.topic.clone() };
     let at_input = |error| about(error, &input.display().to_string());
-    let mut clouds = open(input).and_then(|file| Clouds::open(file, &filter)).map_err(at_input)?;
+    let clouds = open(input).and_then(|file| Clouds::open(file, &filter, Limits::default()));
+    let mut clouds = clouds.map_err(at_input)?;
     let frames = clouds.by_ref().map(|cloud| {
         let (scan, stamp) = cloud.map_err(|error| error.at(input))?.into_parts();
         Ok(FrameInput::scan(scan).stamped(stamp))
@@ -258,11 +260,23 @@ pub fn decode(args: &DecodeArgs, console: Console) -> Result<()> {
     let [input] = &args.inputs[..] else {
         wrong_usage("decode", "recordings are decoded one by one");
     };
-    if args.frames.is_some() || args.time.is_some() || args.keep_going {
-        wrong_usage("decode", "--frames, --time and --keep-going take a stream, not a recording");
-    }
+    let is_to_recording = is_named_as_recording(args.output());
+    check_usage(
+        "decode",
+        [
+            (
+                args.frames.is_some() || args.time.is_some() || args.keep_going,
+                "--frames, --time and --keep-going take a stream, not a recording",
+            ),
+            (args.messages, "--messages takes messages from a pipe, not a recording"),
+            (
+                is_to_recording && (!args.topic.is_empty() || args.format.is_some()),
+                "--topic and --format need a folder as the output; a recording comes back whole",
+            ),
+        ],
+    );
     let start = Instant::now();
-    let (copied, left_out) = match is_named_as_recording(args.output()) {
+    let (copied, left_out) = match is_to_recording {
         true => (unpack(args, input, console)?, 0),
         false => decode_clouds(args, input, console)?,
     };
@@ -276,10 +290,10 @@ fn unpack(args: &DecodeArgs, input: &Path, console: Console) -> Result<CopySumma
     keep_inputs(args.output(), &args.inputs)?;
     let bar = console.bar(None, "unpacking");
     let (copied, output) = copy(input, args.output(), args.force, |input, out| {
-        recordings::unpack(input, out, args.threads.threads, &|| bar.inc(1))
+        recordings::unpack(input, out, args.threads.threads, args.limits.limits(), &|| bar.inc(1))
     })?;
     bar.finish_and_clear();
-    output.finish().map_err(|error| about(error, &args.output().display().to_string()))?;
+    output.finish().map_err(|error| about(error, &name_of_output(args.output())))?;
     Ok(copied)
 }
 
@@ -291,7 +305,8 @@ fn decode_clouds(args: &DecodeArgs, input: &Path, console: Console) -> Result<(C
     let format = args.format.map_or(FileFormat::Pcd, FormatArg::format);
     let at = |error| about(error, &input.display().to_string());
     let filter = TopicFilter { topics: args.topic.clone() };
-    let mut clouds = open(input).and_then(|file| Clouds::open(file, &filter)).map_err(at)?;
+    let clouds = open(input).and_then(|file| Clouds::open(file, &filter, args.limits.limits()));
+    let mut clouds = clouds.map_err(at)?;
     let folder = FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs);
     let bar = console.bar(None, "decoding");
     let mut copied = CopySummary::default();
@@ -342,13 +357,13 @@ struct TopicListing {
     fidelity: Option<BTreeMap<String, u64>>,
 }
 
-/// Lists the contents of a recording; if `decodes`, every compressed cloud is decoded.
-pub fn examine(path: &Path, decodes: bool, threads: usize, console: Console) -> Result<Listing> {
+/// Lists the contents of a recording; with limits, every compressed cloud is decoded within them.
+pub fn examine(path: &Path, decoding: Option<Limits>, threads: usize, console: Console) -> Result<Listing> {
     let at = |error| about(error, &path.display().to_string());
     let file = open(path).map_err(at)?;
     let file_bytes = file.get_ref().metadata().map_err(|error| at(error.into()))?.len();
     let bar = console.bar(None, "reading");
-    let contents = recordings::examine(file, decodes, threads, &|| bar.inc(1));
+    let contents = recordings::examine(file, decoding, threads, &|| bar.inc(1));
     bar.finish_and_clear();
     let Contents { topics, attachments, damage } = contents.map_err(at)?;
     let listing = |topic: Topic| TopicListing {
@@ -357,9 +372,9 @@ pub fn examine(path: &Path, decodes: bool, threads: usize, console: Console) -> 
         messages: topic.messages,
         bytes: topic.bytes,
         compressed: topic.clouds,
-        points: decodes.then_some(topic.points),
-        cloud_bytes: decodes.then_some(topic.cloud_bytes),
-        fidelity: decodes.then_some(topic.fidelity),
+        points: decoding.map(|_| topic.points),
+        cloud_bytes: decoding.map(|_| topic.cloud_bytes),
+        fidelity: decoding.map(|_| topic.fidelity),
     };
     let topics = topics.into_iter().map(listing).collect();
     Ok(Listing { file: path.display().to_string(), file_bytes, topics, attachments, damage })
@@ -414,7 +429,7 @@ pub fn print(listing: &Listing, out: &mut impl Write) -> std::io::Result<()> {
 
 /// `stats` for a recording: the savings by its compressed clouds.
 pub fn stats(args: &StatsArgs, console: Console) -> Result<()> {
-    let listing = examine(&args.input, true, args.threads.threads, console)?;
+    let listing = examine(&args.input, Some(args.limits.limits()), args.threads.threads, console)?;
     if args.json {
         print_json(&listing)?;
         return listing.check();
@@ -503,7 +518,8 @@ fn verify(input: &Path, output: &FileOutput, copied: &CopySummary, threads: usiz
     let at = |error| about(error, &input.display().to_string());
     let Some(packed) = output.reopen()? else { bail!("--verify needs a file that can be read again") };
     let mut restored = tempfile::tempfile().map_err(|error| at(error.into()))?;
-    recordings::unpack(BufReader::new(packed), &mut restored, threads, &|| ()).map_err(at)?;
+    let limits = Limits::default();
+    recordings::unpack(BufReader::new(packed), &mut restored, threads, limits, &|| ()).map_err(at)?;
     restored.rewind().map_err(|error| at(error.into()))?;
     let same = recordings::same_messages(open(input).map_err(at)?, BufReader::new(restored)).map_err(at)?;
     ensure!(

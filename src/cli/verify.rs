@@ -109,7 +109,7 @@ fn verify(
     console: Console,
 ) -> Result<()> {
     if is_recording(path) {
-        let found = recording::examine(path, true, args.threads.threads, console)?;
+        let found = recording::examine(path, Some(args.limits.limits()), args.threads.threads, console)?;
         (report.frames, report.file_bytes) = (found.clouds(), found.cloud_bytes());
         report.messages = Some(found.messages());
         return found.check();

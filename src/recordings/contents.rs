@@ -38,6 +38,8 @@ impl TopicFilter {
 pub struct Clouds<'f, R> {
     records: Records<R>,
     filter: &'f TopicFilter,
+    /// Those of each compressed cloud.
+    limits: Limits,
     schemas: HashMap<u16, String>,
     channels: HashMap<u16, CloudChannel>,
     /// The topics of these channels.
@@ -55,15 +57,16 @@ struct CloudChannel {
 }
 
 impl<'f, R: Read> Clouds<'f, R> {
-    /// Opens a recording.
+    /// Opens a recording. Compressed clouds that exceed the limits are left out.
     ///
     /// # Errors
     /// If the input is not a recording, or fails.
-    pub fn open(input: R, filter: &'f TopicFilter) -> Result<Self> {
+    pub fn open(input: R, filter: &'f TopicFilter, limits: Limits) -> Result<Self> {
         let records = Records::open(input)?;
         Ok(Clouds {
             records,
             filter,
+            limits,
             schemas: HashMap::new(),
             channels: HashMap::new(),
             topics: BTreeSet::new(),
@@ -92,7 +95,7 @@ impl<'f, R: Read> Clouds<'f, R> {
     /// The cloud in a message; `None` if the message is not a cloud, or a damaged one.
     fn cloud(&mut self, header: &MessageHeader, data: &[u8]) -> Option<Scan> {
         let &CloudChannel { encoding, track, ref folder } = self.channels.get(&header.channel_id)?;
-        let unpacked = match unpacked(data, encoding) {
+        let unpacked = match unpacked(data, encoding, self.limits) {
             Ok(unpacked) => unpacked,
             Err(error) => {
                 self.records.faults.add(damaged_cloud(header, &error));
@@ -181,14 +184,14 @@ pub struct Topic {
     pub fidelity: BTreeMap<String, u64>,
 }
 
-/// Lists the contents of a recording; if `decodes`, every compressed cloud is decoded. `on_message` is called
-/// for each message.
+/// Lists the contents of a recording; with limits, every compressed cloud is decoded within them. `on_message`
+/// is called for each message.
 ///
 /// # Errors
 /// If the input is not a recording, or fails.
 pub fn examine(
     input: impl Read + Send,
-    decodes: bool,
+    decoding: Option<Limits>,
     threads: usize,
     on_message: &(dyn Fn() + Sync),
 ) -> Result<Contents> {
@@ -223,9 +226,11 @@ pub fn examine(
     let work = |(place, encoding, header, data): (usize, Option<Encoding>, MessageHeader, Vec<u8>)| {
         let bytes = data.len() as u64;
         let is_compressed = encoding.is_some_and(|encoding| message::payload(&data, encoding).is_some());
-        let counted = match encoding.filter(|_| decodes && is_compressed) {
-            Some(encoding) => measure(&data, encoding).map_err(|error| damaged_cloud(&header, &error)),
-            None => Ok(None),
+        let counted = match (decoding, encoding.filter(|_| is_compressed)) {
+            (Some(limits), Some(encoding)) => {
+                measure(&data, encoding, limits).map_err(|error| damaged_cloud(&header, &error))
+            }
+            _ => Ok(None),
         };
         Ok((place, bytes, is_compressed, counted))
     };
@@ -263,11 +268,11 @@ struct Measured {
 /// Decodes a compressed cloud; `None` for a message that is not one.
 ///
 /// # Errors
-/// If it is damaged.
-fn measure(message: &[u8], encoding: Encoding) -> Result<Option<Measured>> {
-    let Some((decoded, points)) = unpacked(message, encoding)? else { return Ok(None) };
+/// If it is damaged or exceeds the limits.
+fn measure(message: &[u8], encoding: Encoding, limits: Limits) -> Result<Option<Measured>> {
+    let Some((decoded, points)) = unpacked(message, encoding, limits)? else { return Ok(None) };
     let payload = message::payload(message, encoding).unwrap_or_default();
-    let mut reader = StreamReader::open(payload, Limits::default())?;
+    let mut reader = StreamReader::open(payload, limits)?;
     let mut fidelity = String::new();
     while let Some(record) = reader.next_record()? {
         if let container::Record::Group(group) = record

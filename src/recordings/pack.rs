@@ -12,7 +12,7 @@ use super::records::{Faults, Output, Records, numbers_in};
 use crate::container::{FrameKind, Stamp, Time, TimeSource};
 use crate::frame::settings::EncoderConfig;
 use crate::frame::{IntensityFidelity, PositionFidelity};
-use crate::ground::error::{Error, Result};
+use crate::ground::error::{Error, Limits, Result};
 use crate::library::{Decoder, Settings};
 use crate::stream::FrameInput;
 use crate::stream::encoder::encode_known;
@@ -77,8 +77,8 @@ pub fn pack<W: Write + Seek>(
     Ok(CopySummary { topics: packing.topics, ..copied })
 }
 
-/// Copies a packed recording and restores its clouds. Clouds that are damaged are left out: see
-/// [`CopySummary::damage`].
+/// Copies a packed recording and restores its clouds. Clouds that are damaged, or exceed the limits, are left
+/// out: see [`CopySummary::damage`].
 ///
 /// # Errors
 /// If the input is not a recording, or if the input or the output fails.
@@ -86,9 +86,10 @@ pub fn unpack<W: Write + Seek>(
     input: impl Read + Send,
     out: W,
     threads: usize,
+    limits: Limits,
     on_message: &(dyn Fn() + Sync),
 ) -> Result<CopySummary> {
-    let mut unpacking = Unpacking::default();
+    let mut unpacking = Unpacking { limits, ..Unpacking::default() };
     copy(input, out, threads, |record| unpacking.job(record), on_message)
 }
 
@@ -99,7 +100,7 @@ enum Job {
     /// A cloud is compressed.
     Pack { header: MessageHeader, data: Vec<u8>, topic: Arc<PackedTopic> },
     /// A compressed cloud is decoded.
-    Unpack { header: MessageHeader, data: Vec<u8>, encoding: Encoding },
+    Unpack { header: MessageHeader, data: Vec<u8>, encoding: Encoding, limits: Limits },
 }
 
 impl Job {
@@ -112,7 +113,9 @@ impl Job {
         match self {
             Job::Copy(records) => Ok(Done { records, ..Done::default() }),
             Job::Pack { header, data, topic } => topic.pack(header, data),
-            Job::Unpack { header, data, encoding } => Ok(unpack_message(header, data, encoding)),
+            Job::Unpack { header, data, encoding, limits } => {
+                Ok(unpack_message(header, data, encoding, limits))
+            }
         }
     }
 }
@@ -317,6 +320,8 @@ impl PackedTopic {
 /// The state of unpacking a recording.
 #[derive(Default)]
 struct Unpacking {
+    /// Those of each cloud.
+    limits: Limits,
     /// Schemas of compressed clouds, which are written only if a channel that was not packed refers to them.
     compressed: HashMap<u16, Record<'static>>,
     /// The names of all other schemas.
@@ -347,7 +352,8 @@ impl Unpacking {
             Record::Channel(channel) => self.channel(channel),
             Record::Message { header, data } => {
                 if let Some(&encoding) = self.packed.get(&header.channel_id) {
-                    return Ok(Job::Unpack { header, data: data.into_owned(), encoding });
+                    let (data, limits) = (data.into_owned(), self.limits);
+                    return Ok(Job::Unpack { header, data, encoding, limits });
                 }
                 let channel_id = self.others.get(&header.channel_id).copied().unwrap_or(header.channel_id);
                 Ok(Job::one(Record::Message { header: MessageHeader { channel_id, ..header }, data }))
@@ -384,8 +390,8 @@ impl Unpacking {
     }
 }
 
-fn unpack_message(header: MessageHeader, data: Vec<u8>, encoding: Encoding) -> Done {
-    match unpacked(&data, encoding) {
+fn unpack_message(header: MessageHeader, data: Vec<u8>, encoding: Encoding, limits: Limits) -> Done {
+    match unpacked(&data, encoding, limits) {
         Ok(Some((message, points))) => Done::cloud(header, message, points, data.len()),
         Ok(None) => {
             let records = vec![Record::Message { header, data: data.into() }];
@@ -400,9 +406,9 @@ fn unpack_message(header: MessageHeader, data: Vec<u8>, encoding: Encoding) -> D
 ///
 /// # Errors
 /// If the payload is damaged or does not contain a message.
-pub fn unpacked(message: &[u8], encoding: Encoding) -> Result<Option<(Vec<u8>, usize)>> {
+pub fn unpacked(message: &[u8], encoding: Encoding, limits: Limits) -> Result<Option<(Vec<u8>, usize)>> {
     let Some(payload) = message::payload(message, encoding) else { return Ok(None) };
-    let scan = Decoder::open(Cursor::new(payload))?.scan(0)?;
+    let scan = Decoder::open_with_limits(Cursor::new(payload), limits)?.scan(0)?;
     let bytes = scan.file_bytes()?.ok_or_else(|| Error::corrupt("a payload that is no message"))?;
     Ok(Some((bytes, scan.len())))
 }
