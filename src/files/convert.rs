@@ -9,10 +9,11 @@ use std::collections::HashSet;
 use byteorder::{ByteOrder, LittleEndian};
 
 use super::field::{self, INTENSITY, POSITION, layout_of};
-use super::{Kind, numpy, records};
+use super::{Kind, las, numpy, records};
 use crate::ground::error::{Error, Result};
 use crate::scan::{
-    Column as TextColumn, Field, Layout, NumberRule, ScalarType, ScanFile, Separator, TextFormat, Wrapping,
+    Axis, Column as TextColumn, Field, Layout, NumberRule, ScalarType, ScanFile, Separator, TextFormat,
+    Wrapping,
 };
 
 /// A format that scans can be converted to.
@@ -149,6 +150,9 @@ enum Origin {
     At(usize),
     /// The number of this type at this offset, rounded to float32.
     Number(usize, ScalarType),
+    /// The coordinate of a LAS file, in double precision, of the steps that stand at this offset: as an
+    /// integer, or as the float32 value along an axis.
+    Steps { at: usize, along: Option<Axis>, scale: f64, offset: f64 },
     /// No original value; the result is 0.
     Nowhere,
 }
@@ -167,6 +171,13 @@ impl Column {
                 let number = number(scalar, &record[at..at + scalar.size() as usize]) as f32;
                 out.extend_from_slice(&number.to_le_bytes());
             }
+            Origin::Steps { at, along, scale, offset } => {
+                let steps = match along {
+                    Some(axis) => axis.steps(LittleEndian::read_f32(&record[at..]), [i32::MIN, i32::MAX]),
+                    None => LittleEndian::read_i32(&record[at..]),
+                };
+                out.extend((f64::from(steps) * scale + offset).to_le_bytes());
+            }
             Origin::Nowhere => out.extend(std::iter::repeat_n(0, self.scalar.size() as usize)),
         }
     }
@@ -178,7 +189,29 @@ fn columns_of(scan: &ScanFile) -> Option<Vec<Column>> {
     if scan.is_opaque() {
         return None;
     }
-    in_order(of_fields(&scan.layout))
+    let mut columns = of_fields(&scan.layout);
+    if let Some(scales) = las::scales(&scan.prefix) {
+        as_in_las(&mut columns, &scan.layout, scales);
+    }
+    in_order(columns)
+}
+
+/// Makes the coordinates of a LAS file those that its header gives, where they are not kept so.
+fn as_in_las(columns: &mut [Column], layout: &Layout, scales: [[f64; 2]; 3]) {
+    for (axis, [scale, offset]) in scales.into_iter().enumerate() {
+        let along = if let Wrapping::Scaled(axes) = &layout.wrapping { Some(axes[axis]) } else { None };
+        let name = if along.is_some() { POSITION[axis] } else { las::STEPS[axis] };
+        // With this offset, float32 coordinates are those of the file.
+        if along.is_some_and(|along| along.offset == offset) {
+            continue;
+        }
+        if let Some(column) = columns.iter_mut().find(|column| column.name == name)
+            && let Origin::At(at) = column.origin
+        {
+            let origin = Origin::Steps { at, along, scale, offset };
+            *column = Column { name: POSITION[axis].to_owned(), scalar: ScalarType::F64, origin };
+        }
+    }
 }
 
 /// Selects the columns of KITTI's files from those of a scan; `None` if the coordinates are not float32.

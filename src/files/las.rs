@@ -25,6 +25,9 @@ const SCALES: usize = 131;
 const OFFSETS: usize = 155;
 const COUNT: usize = 247;
 
+/// The names of coordinates that are kept as the integers of the file.
+pub(super) const STEPS: [&str; 3] = ["x_steps", "y_steps", "z_steps"];
+
 /// The properties of the records according to the header.
 pub(super) struct Header {
     /// The fields other than x, y and z, which come first.
@@ -65,7 +68,7 @@ impl Header {
     /// the former, as on a map. Only for steps that are decimal fractions of a metre, since the models know
     /// such grids.
     fn axes(&self) -> Option<[[Axis; 3]; 2]> {
-        let per_metre = |scale: f64| (0..=5).map(|digits| 10f64.powi(digits)).find(|n| (1.0 / n) == scale);
+        let per_metre = |scale: f64| [1.0, 10.0, 1e2, 1e3, 1e4, 1e5].into_iter().find(|n| 1.0 / n == scale);
         let [x, y, z] = self.scales.map(|[scale, offset]| {
             let per_metre = per_metre(scale)?;
             let offset = round_ties_even(offset * per_metre) / per_metre;
@@ -74,6 +77,12 @@ impl Header {
         let (x, y, z) = (x?, y?, z?);
         Some([0, 1].map(|way| [x[way], y[way], z[way]]))
     }
+}
+
+/// Metres per step, and the coordinate of step 0 in metres, for x, y and z, of a file that begins with these
+/// bytes; `None` for other files.
+pub(super) fn scales(header: &[u8]) -> Option<[[f64; 2]; 3]> {
+    Some(Header::parse(header)?.scales)
 }
 
 /// Splits a file. `None` if its header is not supported.
@@ -88,7 +97,7 @@ pub(super) fn parse(bytes: &[u8]) -> Option<ScanFile> {
     });
     // The fallback: integers, which are not known as coordinates.
     let plain = || {
-        let layout = with(["x_steps", "y_steps", "z_steps"], ScalarType::I32)?;
+        let layout = with(STEPS, ScalarType::I32)?;
         plain_file(layout, bytes, header.start, header.records)
     };
     scaled.or_else(plain)
@@ -184,7 +193,7 @@ fn each_coordinate(body: &mut [u8], layout: &Layout, axes: &[Axis; 3], change: i
 mod tests {
     use super::*;
     use crate::files::tests::comes_back;
-    use crate::files::{starts_as_scan, with_point_count};
+    use crate::files::{FileFormat, convert, starts_as_scan, with_point_count};
     use crate::scan::Layout;
 
     /// A file of version 1.2, or of version 1.4 for formats from 6 on.
@@ -214,6 +223,22 @@ mod tests {
         let mut record: Vec<u8> = steps.iter().flat_map(|steps| steps.to_le_bytes()).collect();
         record.extend((0..).map(|n: u8| n % 2 * 7).take(size - 12));
         record
+    }
+
+    #[test]
+    fn coordinates_are_converted_with_the_offset_of_the_header() {
+        let text = |scale: f64, offset: f64, steps: [i32; 3]| {
+            let scan = comes_back("a.las", file(0, scale, offset, &[record(steps, 20)]));
+            let converted = convert(&scan, FileFormat::Csv).unwrap().to_bytes().unwrap();
+            let text = String::from_utf8(converted).unwrap();
+            let (_, values) = text.split_once('\n').unwrap();
+            values.split(',').take(3).collect::<Vec<_>>().join(" ")
+        };
+        // On a map, where float32 is too coarse; not a whole number of steps; steps that models do not know.
+        assert_eq!(text(0.001, 4_500_000.0, [30, -1500, 0]), "4500000.03 4499998.5 4500000");
+        assert_eq!(text(0.001, 0.0005, [1500, -2, 0]), "1.5005 -0.0015 0.0005");
+        assert_eq!(text(0.25e-3, 10.0, [4, -2, 0]), "10.001 9.9995 10");
+        assert_eq!(text(0.001, 0.0, [1500, -2, 0]), "1.5 -0.002 0");
     }
 
     #[test]
