@@ -7,10 +7,11 @@ use std::process::{Child, Command, Stdio};
 
 use crate::common::formats::kitti;
 use crate::common::scans::{scans, small};
-use crate::common::{File, decode_files, skip};
+use crate::common::{File, decode_files, encode_files, skip};
 use assert_cmd::cargo::cargo_bin;
 use lidarpc::internals::container::{Record, StreamReader};
 use lidarpc::internals::files::ArrivingFrames;
+use lidarpc::internals::frame::settings::EncoderConfig;
 use lidarpc::internals::ground::error::Limits;
 use tempfile::TempDir;
 
@@ -123,6 +124,21 @@ fn messages_come_and_go_one_by_one() {
     let output = child.wait_with_output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(!output.status.success() && said.contains("1.bin"), "{said}");
+    // Names may be repeated, but must fit into a line.
+    let twice = [&payloads[0], &payloads[0]].map(framed).concat();
+    fs::write(path("messages"), twice).unwrap();
+    let child = program(&["decode", &path("messages"), "-o", "-", "--messages", "--format", "ply"]);
+    let output = child.wait_with_output().unwrap();
+    let mut rest = &output.stdout[..];
+    let (first, second) = (message(&mut rest), message(&mut rest));
+    assert!(output.status.success() && rest.is_empty() && first == second && first.0 == "0.ply");
+    let long = "n".repeat(289);
+    let stream = encode_files(&[(long, b"abc".to_vec())], &EncoderConfig::default());
+    fs::write(path("messages"), framed(&("a".to_owned(), stream))).unwrap();
+    let child = program(&["decode", &path("messages"), "-o", "-", "--messages"]);
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && output.stdout.is_empty() && said.contains("into a folder"), "{said}");
     for wrong in [["encode", "--verify"], ["decode", "--keep-going"]] {
         let child = program(&[wrong[0], "-", "-o", "-", "--messages", wrong[1]]);
         assert_eq!(child.wait_with_output().unwrap().status.code(), Some(2), "{wrong:?}");

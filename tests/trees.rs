@@ -165,6 +165,9 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
     fs::write(bench.path("out/a/drive_1.lpc"), &good).unwrap();
     let said = bench.says("encode tree -o out --all --resume");
     assert!(said.ends_with("2 drives: already complete, from these files with these settings\n"), "{said}");
+    let report = bench.json("encode tree -o out --all --resume --json");
+    let complete = report["drives"].as_array().unwrap().iter().map(|drive| &drive["was_complete"]);
+    assert!(complete.eq([true, true]), "{report}");
     let said = bench.command("encode tree -o out --all --resume --level 1").output().unwrap();
     assert_eq!(said.status.code(), Some(1), "other settings");
     let said = bench.command("encode tree -o out --all").output().unwrap();
@@ -315,7 +318,7 @@ fn originals_are_deleted_only_when_they_are_safe() {
     let bench = drives();
     let before = tree(&bench.path("tree"));
     let said = bench.says("encode tree/a/drive_1 -o one.lpc --rm");
-    assert!(said.contains(", verified"), "{said}");
+    assert!(said.contains(", verified") && said.ends_with("deleted 12 files\n"), "{said}");
     assert!(!bench.path("tree/a/drive_1/velodyne_points/data").exists());
     assert!(bench.path("tree/a/drive_1/velodyne_points/timestamps.txt").exists(), "it was left out");
     bench.ok("decode one.lpc -o tree/a/drive_1/velodyne_points/data");
@@ -333,6 +336,47 @@ fn originals_are_deleted_only_when_they_are_safe() {
             .code(2);
     }
     assert_eq!(tree(&bench.path("tree")), before);
+    // Write-protected files are kept, and only these.
+    let protected = bench.path("tree/a/drive_1/velodyne_points/data/0000000003.bin");
+    let mut permissions = fs::metadata(&protected).unwrap().permissions();
+    permissions.set_readonly(true);
+    fs::set_permissions(&protected, permissions).unwrap();
+    let error = bench.fails("encode tree/a/drive_1 -o again.lpc --rm", "0000000003.bin");
+    assert!(error.contains("write-protected") && error.contains("deleted 11 files"), "{error}");
+    assert_eq!(bench.names("tree/a/drive_1/velodyne_points/data"), ["0000000003.bin"]);
+}
+
+#[test]
+fn a_range_of_times_holds_no_frames_of_other_times() {
+    let bench = Bench::new();
+    // Two scanners at the same times, one after the other.
+    for side in ["left", "right"] {
+        let scans =
+            (0..4).map(|n| (format!("{}.bin", 1_700_000_000_000_000_000 + n * 100_000_000u64), scan(60, 1)));
+        bench.write_files(&format!("rec/{side}"), &scans.collect());
+    }
+    bench.ok("encode rec -o rec.lpc");
+    bench.ok("decode rec.lpc -o some --time 0.1..0.25");
+    for side in ["left", "right"] {
+        let names = bench.names(&format!("some/{side}"));
+        assert_eq!(names, ["1700000000100000000.bin", "1700000000200000000.bin"], "{side}");
+    }
+    let error = bench.fails("cut rec.lpc -o cut.lpc --time 0.1..0.25", "rec.lpc");
+    assert!(error.contains("frames of other times"), "{error}");
+    bench.ok("cut rec.lpc -o cut.lpc --time 0..");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn remarks_that_nobody_can_read_are_no_error() {
+    let bench = Bench::new();
+    bench.write_files("seq", &[("1.bin".to_owned(), scan(60, 1))].into());
+    let full = fs::File::options().write(true).open("/dev/full").unwrap();
+    let program = assert_cmd::cargo::cargo_bin!("lidarpc");
+    let mut run = std::process::Command::new(program);
+    run.args(["encode", "seq", "-o", "out.lpc"]).current_dir(bench.path(".")).stderr(full);
+    assert!(run.status().unwrap().success());
+    bench.ok("verify out.lpc --against seq");
 }
 
 #[test]
@@ -375,6 +419,26 @@ fn a_file_that_no_decoder_takes_is_left_out_and_said() {
         "{said}"
     );
     bench.fails("encode tree/a/drive_1 -o strict.lpc --all --strict", "tree/a/drive_1");
+}
+
+#[test]
+fn a_folder_that_cannot_take_all_files_gets_none() {
+    let bench = drives();
+    bench.ok("encode tree -o tree.lpc");
+    for force in ["", " --force"] {
+        // A file in the place of the second drive's folder, and a folder in the place of its last scan.
+        for (place, is_folder) in [("b", false), ("b/drive_2/velodyne_points/data/0000000011.bin", true)] {
+            let taken = bench.path("out").join(place);
+            fs::create_dir_all(if is_folder { &taken } else { taken.parent().unwrap() }).unwrap();
+            if !is_folder {
+                fs::write(&taken, b"mine").unwrap();
+            }
+            let before = tree(&bench.path("out"));
+            bench.fails(&format!("decode tree.lpc -o out --threads 1{force}"), "out/b");
+            assert_eq!(tree(&bench.path("out")), before, "{place}{force}");
+            fs::remove_dir_all(bench.path("out")).unwrap();
+        }
+    }
 }
 
 /// A stream with names that would leave the folder: the decoder trusts nothing.

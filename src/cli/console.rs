@@ -1,9 +1,15 @@
 //! What commands tell on stderr, apart from errors.
 
 use std::borrow::Cow;
-use std::fmt::{Display, Write};
+use std::fmt::{self, Display};
+use std::io::{self, Write};
 
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
+
+/// Prints a line on stderr. If nobody reads it, that is no error.
+pub fn to_stderr(line: impl Display) {
+    let _ = writeln!(io::stderr(), "{line}");
+}
 
 /// Progress and remarks on stderr, unless `--quiet` forbids them.
 #[derive(Clone, Copy)]
@@ -18,7 +24,7 @@ impl Console {
     /// Tells a line.
     pub fn say(self, line: impl Display) {
         if !self.is_quiet {
-            eprintln!("{line}");
+            to_stderr(line);
         }
     }
 
@@ -35,9 +41,11 @@ fn visible(total: Option<u64>) -> ProgressBar {
     };
     // If a template does not parse, only the appearance suffers.
     match ProgressStyle::with_template(template) {
-        Ok(style) => bar.with_style(style.with_key("speed", |state: &ProgressState, out: &mut dyn Write| {
-            let _ = out.write_str(&speed(state.per_sec()));
-        })),
+        Ok(style) => {
+            bar.with_style(style.with_key("speed", |state: &ProgressState, out: &mut dyn fmt::Write| {
+                let _ = out.write_str(&speed(state.per_sec()));
+            }))
+        }
         Err(_) => bar,
     }
 }

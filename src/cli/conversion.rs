@@ -48,8 +48,8 @@ pub fn name_of_points(name: &str, number: u64) -> String {
 /// Converts frames to files: the original ones, or in another format.
 pub struct Converter {
     format: Option<FileFormat>,
-    /// The frames' own names, by the names of the written files.
-    names: Mutex<HashMap<String, String>>,
+    /// The frames' own names, by the names of the written files; `None` if several files may have one name.
+    names: Option<Mutex<HashMap<String, String>>>,
     /// Files without points, which cannot be converted: their number, and the number and name of the first
     /// frame of them.
     without_points: Mutex<(u64, Option<(u64, String)>)>,
@@ -59,7 +59,12 @@ impl Converter {
     /// Converts to this format; without one, only points that were never in a file.
     pub fn new(format: Option<FormatArg>) -> Self {
         let format = format.map(FormatArg::format);
-        Converter { format, names: Mutex::default(), without_points: Mutex::default() }
+        Converter { format, names: Some(Mutex::default()), without_points: Mutex::default() }
+    }
+
+    /// The same, but several files may have one name, as messages do.
+    pub fn with_any_names(self) -> Self {
+        Converter { names: None, ..self }
     }
 
     /// Tells how many files were not converted.
@@ -117,9 +122,10 @@ impl Converter {
     /// Reserves the name of a file for the frame with this name of its own.
     ///
     /// # Errors
-    /// If another frame already has it.
+    /// If another frame already has it, and names may not be repeated.
     fn reserve(&self, file: &str, frame: String) -> Result<()> {
-        let mut names = locked(&self.names);
+        let Some(names) = &self.names else { return Ok(()) };
+        let mut names = locked(names);
         match names.insert(file.to_owned(), frame.clone()) {
             None => Ok(()),
             Some(other) => {

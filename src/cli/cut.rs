@@ -6,13 +6,13 @@ use std::time::Instant;
 
 use crate::edit::{self, Cut, Named};
 use crate::stream::FrameRange;
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use serde::Serialize;
 
 use super::args::CutArgs;
 use super::console::Console;
 use super::errors::about;
-use super::input::{Input, chosen_frames, name_of, open, refuse_recordings, report_files_left_out};
+use super::input::{ChosenFrames, Input, name_of, open, refuse_recordings, report_files_left_out};
 use super::output::{FileOutput, check_json, keep_inputs, name_of_output, print_json};
 use super::readable;
 
@@ -35,11 +35,18 @@ pub fn run(args: &CutArgs, console: Console) -> Result<()> {
     refuse_recordings("cut", inputs, "encode its clouds to FILE.lpc, and cut that");
     let input = open(&args.input)?;
     keep_inputs(&args.output, inputs)?;
-    let frames = chosen_frames("cut", &args.input, (args.frames, args.time), args.limits.limits(), console)?;
+    let chosen =
+        ChosenFrames::of("cut", &args.input, (args.frames, args.time), args.limits.limits(), console)?;
+    ensure!(
+        chosen.times.is_none(),
+        "{}: has frames of other times between those of that time; cut by --frames, or decode by --time",
+        name_of(&args.input)
+    );
     let mut output = FileOutput::binary(&args.output, args.force)?;
     let name = name_of_output(&args.output);
-    let cut =
-        output.write(|out| cut_stream(args, input, frames, out)).map_err(|error| about(error, &name))?;
+    let cut = output
+        .write(|out| cut_stream(args, input, chosen.range, out))
+        .map_err(|error| about(error, &name))?;
     output.finish().map_err(|error| about(error, &name))?;
     report_files_left_out(&args.input, cut.files_left_out, console);
     let seconds = start.elapsed().as_secs_f64();

@@ -1,6 +1,6 @@
 //! `lidarpc decode` for streams: into a folder, or a single frame to stdout.
 
-use std::io::{self, BufReader, Write};
+use std::io::{self, BufReader, IsTerminal, Write};
 use std::path::Path;
 use std::time::Instant;
 
@@ -11,11 +11,11 @@ use crate::stream::{DecodeOptions, DecodedFrame};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
-use super::args::{DecodeArgs, check_usage};
+use super::args::{DecodeArgs, check_usage, wrong_usage};
 use super::console::Console;
 use super::conversion::Converter;
 use super::errors::{about, say};
-use super::input::{Input, chosen_frames, is_dash, is_pipe, name_of, open, report_files_left_out};
+use super::input::{ChosenFrames, Input, is_dash, is_pipe, name_of, open, report_files_left_out};
 use super::losses::{LossReport, Losses};
 use super::output::{FolderOutput, FrameNames};
 use super::readable;
@@ -58,23 +58,25 @@ pub fn run(args: &DecodeArgs, reports: &mut Vec<Report>, console: Console) -> Re
             (is_stdout && !others.is_empty(), "stdout takes one frame, and so a single file"),
         ],
     );
+    let limits = args.limits.limits();
+    let chosen = ChosenFrames::of("decode", first, (args.frames, args.time), limits, console)?;
     let options = DecodeOptions {
         threads: args.threads.threads,
-        limits: args.limits.limits(),
-        frames: chosen_frames("decode", first, (args.frames, args.time), args.limits.limits(), console)?,
+        limits,
+        frames: chosen.range,
         ..DecodeOptions::default()
     };
     let converter = Converter::new(args.format);
     match is_stdout {
-        true => to_stdout(args, first, &options, &converter, console),
-        false => to_folder(args, &options, &converter, reports, console),
+        true => to_stdout(args, first, (&options, &chosen), &converter, console),
+        false => to_folder(args, (&options, &chosen), &converter, reports, console),
     }
 }
 
 /// Decodes the inputs into a folder, and reports.
 fn to_folder(
     args: &DecodeArgs,
-    options: &DecodeOptions,
+    (options, chosen): (&DecodeOptions, &ChosenFrames),
     converter: &Converter,
     reports: &mut Vec<Report>,
     console: Console,
@@ -92,13 +94,17 @@ fn to_folder(
         let mut losses = Losses::new(path, options.frames);
         let mut files = 0;
         let write = |frame: DecodedFrame| {
+            if !chosen.contains(&frame.header.stamp) {
+                return Ok(None);
+            }
             let is_beside = frame.header.stamp.kind == FrameKind::Beside;
             let file = converter.file(frame)?;
-            Ok((folder.write(file.name(), |give| file.write(give))?, is_beside))
+            Ok(Some((folder.write(file.name(), |give| file.write(give))?, is_beside)))
         };
-        let count = |(file_bytes, is_beside): (u64, bool)| {
+        let count = |written: Option<(u64, bool)>| {
             bar.inc(1);
             files += 1;
+            let Some((file_bytes, is_beside)) = written else { return Ok(()) };
             report.frames += u64::from(!is_beside);
             report.files_beside += u64::from(is_beside);
             report.file_bytes += file_bytes;
@@ -173,18 +179,28 @@ fn decode<T: Send>(
 fn to_stdout(
     args: &DecodeArgs,
     path: &Path,
-    options: &DecodeOptions,
+    (options, chosen): (&DecodeOptions, &ChosenFrames),
     converter: &Converter,
     console: Console,
 ) -> Result<()> {
+    if io::stdout().is_terminal() {
+        wrong_usage(
+            "decode",
+            "the terminal would show bytes; give -o FOLDER, or a pipe or a file for stdout",
+        );
+    }
     let input = open(path)?;
     let mut only: Option<DecodedFrame> = None;
     let mut losses = Losses::new(path, options.frames);
-    let decoded =
-        decode(args, input, options, &mut losses, DecodedFrame::checked, |frame| match only.replace(frame) {
+    let decoded = decode(args, input, options, &mut losses, DecodedFrame::checked, |frame| {
+        if !chosen.contains(&frame.header.stamp) {
+            return Ok(());
+        }
+        match only.replace(frame) {
             None => Ok(()),
             Some(_) => Err(Error::Usage("stdout takes one frame; choose one, as by --frames 5".to_owned())),
-        });
+        }
+    });
     decoded.map_err(|error| about(error, &name_of(path)))?;
     let Some(frame) = only else { bail!("{}: holds no frame", name_of(path)) };
     let file = converter.file(frame)?;

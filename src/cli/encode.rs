@@ -11,7 +11,7 @@ use crate::study::metrics;
 use anyhow::{Result, ensure};
 
 use super::args::EncodeArgs;
-use super::console::Console;
+use super::console::{Console, to_stderr};
 use super::encoding::{Done, create_output, encode_inputs, finish_output};
 use super::errors::about;
 use super::frames;
@@ -32,7 +32,7 @@ pub fn run(args: &EncodeArgs, mut config: EncoderConfig, console: Console) -> Re
     let done = encode_inputs(args, &config, &found, console)?;
     report(args, &config, &done, start, console)?;
     if args.rm {
-        found.delete(&args.inputs, &done.encoded)?;
+        found.delete(&args.inputs, &done.encoded, console)?;
     }
     Ok(())
 }
@@ -93,7 +93,11 @@ fn report(
         for (frame, stages) in encoded.frames.iter().zip(&encoded.frame_stages) {
             let (name, original, coded) = (frame.name.escape_debug(), stages.original, stages.coded());
             let share = readable::percent(metrics::ratio(original, coded));
-            eprintln!("{name}: {} -> {} ({share})", readable::bytes(original), readable::bytes(coded));
+            to_stderr(format_args!(
+                "{name}: {} -> {} ({share})",
+                readable::bytes(original),
+                readable::bytes(coded)
+            ));
         }
     }
     if args.json {

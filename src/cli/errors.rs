@@ -2,6 +2,7 @@
 
 use std::io::{self, ErrorKind};
 
+use super::console::to_stderr;
 use crate::ground::error::{Error, one_line};
 
 /// Prints the error on stderr and returns the exit code. A closed pipe is not an error: the reader needs no
@@ -35,7 +36,7 @@ const NOT_WHOLE: u8 = 3;
 
 /// Prints the error on stderr.
 pub fn say(error: &anyhow::Error) {
-    eprintln!("lidarpc: {}", line(error));
+    to_stderr(format_args!("lidarpc: {}", line(error)));
 }
 
 /// The error in one line: names in it may contain line breaks and control characters.
@@ -93,9 +94,9 @@ fn advice(error: &Error) -> Option<&'static str> {
             Some("fetch it again, or save what is intact by `lidarpc decode --keep-going`")
         }
         Error::NotBuilt { .. } => Some("use a lidarpc that was built with it"),
-        Error::LimitExceeded { .. } => {
-            Some("if that is right, --max-points, --max-file-bytes and so on allow more")
-        }
+        Error::LimitExceeded { .. } => Some(
+            "if that is right, allow more by --max-points, --max-file-bytes and so on, as `decode` has them",
+        ),
         _ => None,
     }
 }

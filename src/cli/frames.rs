@@ -7,7 +7,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use crate::backend;
-use crate::files::sequence::{FoundFile, LeftOut, find_all, find_frames};
+use crate::files::sequence::{FoundFile, LeftOut, advice_on_recording, find_all, find_frames};
 use crate::files::{EXTENSIONS, parse_like, starts_as_scan};
 use crate::frame::Prediction;
 use crate::frame::settings::{Coder, EncoderConfig, PredictionChoice, ProjectionKind};
@@ -17,7 +17,7 @@ use crate::study::metrics::{self, nearest_distances};
 use anyhow::{Result, bail, ensure};
 
 use super::args::EncodeArgs;
-use super::console::Console;
+use super::console::{Console, to_stderr};
 use super::errors::about;
 use super::input::is_stream;
 use super::output::keep_inputs;
@@ -46,31 +46,37 @@ impl InputFiles {
         inputs
     }
 
-    /// Deletes the files, and the folders that this leaves empty, up to these inputs. A file that is no longer
-    /// what was `encoded` is kept.
+    /// Deletes the files, and the folders that this leaves empty, up to these inputs, and tells how many files. A
+    /// file that is write-protected, or no longer what was `encoded`, is kept.
     ///
     /// # Errors
     /// If a file cannot be read or deleted, or if it was kept.
-    pub fn delete(&self, inputs: &[PathBuf], encoded: &EncodeStatistics) -> Result<()> {
+    pub fn delete(&self, inputs: &[PathBuf], encoded: &EncodeStatistics, console: Console) -> Result<()> {
         let known = encoded.frames.iter().map(|frame| (&frame.name[..], (frame.file_size, frame.file_crc)));
         let known: HashMap<&str, (u64, u32)> = known.collect();
-        let mut changed = None;
+        let (mut deleted, mut kept) = (0, None);
         for FoundFile { path, name, .. } in self.frames.iter().chain(&self.beside) {
             let at = |error: io::Error| about(error.into(), &path.display().to_string());
             let bytes = if path.is_dir() { Vec::new() } else { fs::read(path).map_err(at)? };
             if known.get(&name[..]) != Some(&(bytes.len() as u64, crc32c::crc32c(&bytes))) {
-                changed.get_or_insert(path);
+                kept.get_or_insert((path, "changed after it was encoded, so it is kept; encode it again"));
                 continue;
             }
-            let deleted = if path.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
-            deleted.map_err(at)?;
+            // Where the system does not refuse, as to its administrator.
+            if fs::symlink_metadata(path).map_err(at)?.permissions().readonly() {
+                kept.get_or_insert((path, "is write-protected, so it is kept; delete it by other means"));
+                continue;
+            }
+            let removed = if path.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
+            removed.map_err(at)?;
+            deleted += 1;
             let above = path.ancestors().skip(1);
             let above = above.take_while(|above| inputs.iter().any(|input| above.starts_with(input)));
             // Folders that are not empty remain.
             above.take_while(|above| fs::remove_dir(above).is_ok()).for_each(drop);
         }
-        let Some(changed) = changed else { return Ok(()) };
-        bail!("{}: changed after it was encoded, so it is kept; encode it again", changed.display())
+        console.say(format_args!("deleted {}", readable::count(deleted, "file")));
+        kept.map_or(Ok(()), |(path, what)| bail!("{}: {what}", path.display()))
     }
 }
 
@@ -106,7 +112,7 @@ pub fn find(args: &EncodeArgs, console: Console) -> Result<InputFiles> {
             let bytes =
                 fs::symlink_metadata(&path).ok().filter(fs::Metadata::is_file).map_or(0, |about| about.len());
             if args.verbose {
-                eprintln!("lidarpc: left out {} {}", kind.name(), one_line(path.display()));
+                to_stderr(format_args!("lidarpc: left out {} {}", kind.name(), one_line(path.display())));
             }
             left_out.add(kind, path.display().to_string(), bytes);
         }
@@ -213,14 +219,11 @@ fn check_scan(path: &Path) -> Result<()> {
     const HEADER: u64 = 1 << 20;
     let start = start_of(path, HEADER)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
+    if let Some(advice) = advice_on_recording(path) {
+        bail!("{}: {advice}", path.display());
+    }
     let what = match is_stream(path) {
         true => "is a lidarpc stream already".to_owned(),
-        false if is_other_recording(path) => {
-            bail!(
-                "{}: turn it into an .mcap by `rosbags-convert` (PyPI: rosbags), and encode that",
-                path.display()
-            )
-        }
         false => format!("holds no scan that is known ({EXTENSIONS})"),
     };
     ensure!(
@@ -229,12 +232,6 @@ fn check_scan(path: &Path) -> Result<()> {
         path.display()
     );
     Ok(())
-}
-
-/// Whether a file name is that of a ROS recording in another format than MCAP.
-fn is_other_recording(path: &Path) -> bool {
-    let of = |wanted: &str| path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(wanted));
-    of("bag") || of("db3")
 }
 
 fn start_of(path: &Path, most: u64) -> Result<Vec<u8>> {
@@ -312,7 +309,8 @@ mod tests {
             encoded.frames.push(FrameHeader::of(name, name.as_bytes(), 0));
         }
         fs::write(folder.path().join("2.bin"), "4.bin").unwrap();
-        let refused = files.delete(&[folder.path().to_path_buf()], &encoded).unwrap_err().to_string();
+        let refused =
+            files.delete(&[folder.path().to_path_buf()], &encoded, Console::SILENT).unwrap_err().to_string();
         assert!(refused.contains("2.bin: changed after it was encoded"), "{refused}");
         let left = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
         assert_eq!(left.collect::<Vec<_>>(), ["2.bin"]);

@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 
-use crate::container::{IndexedReader, MAGIC};
+use crate::container::{IndexedReader, MAGIC, Stamp};
 use crate::files::names::is_safe_path;
 use crate::files::sequence::find_frames;
 use crate::ground::error::{Error, Limits, Result};
@@ -16,7 +16,7 @@ use super::args::wrong_usage;
 use super::console::Console;
 use super::errors::{about, is_closed_pipe, say};
 use super::readable;
-use super::time_range::TimeRange;
+use super::time_range::{TimeRange, Times};
 
 /// A stream to read.
 pub enum Input {
@@ -210,32 +210,54 @@ pub fn open(path: &Path) -> anyhow::Result<Input> {
     Input::open(path).map_err(|error| about(error, &name_of(path)))
 }
 
-/// The frames selected by `--frames` or `--time`; without these, all. Tells how many are left out because
-/// they have no time.
-///
-/// # Errors
-/// If there is no frame at that time, or if the times cannot be read.
-pub fn chosen_frames(
-    subcommand: &str,
-    path: &Path,
-    (frames, time): (Option<FrameRange>, Option<TimeRange>),
-    limits: Limits,
-    console: Console,
-) -> anyhow::Result<FrameRange> {
-    let Some(time) = time else { return Ok(frames.unwrap_or_default()) };
-    let Input::File(file) = open(path)? else {
-        wrong_usage(subcommand, "--time needs a file that can be sought in; choose by --frames");
-    };
-    let reader = IndexedReader::open(BufReader::new(file), limits);
-    let found = reader.and_then(|reader| time.frames(reader.index()));
-    let (range, untimed) = found.map_err(|error| about(error, &name_of(path)))?;
-    if untimed > 0 {
-        let (name, frames) = (name_of(path), readable::count(untimed, "frame"));
-        console.say(format_args!(
-            "lidarpc: {name}: left out {frames} without a time; --frames chooses by number"
-        ));
+/// The frames selected by `--frames` or `--time`.
+#[derive(Clone, Copy, Default)]
+pub struct ChosenFrames {
+    /// All from the first to the last of them.
+    pub range: FrameRange,
+    /// If some of these have times that were not selected: those that were.
+    pub times: Option<Times>,
+}
+
+impl ChosenFrames {
+    /// Those selected by the arguments; without these, all. Tells how many are left out because they have no
+    /// time.
+    ///
+    /// # Errors
+    /// If there is no frame at that time, or if the times cannot be read.
+    pub fn of(
+        subcommand: &str,
+        path: &Path,
+        (frames, time): (Option<FrameRange>, Option<TimeRange>),
+        limits: Limits,
+        console: Console,
+    ) -> anyhow::Result<Self> {
+        let Some(time) = time else {
+            return Ok(ChosenFrames { range: frames.unwrap_or_default(), times: None });
+        };
+        let Input::File(file) = open(path)? else {
+            wrong_usage(subcommand, "--time needs a file that can be sought in; choose by --frames");
+        };
+        let reader = IndexedReader::open(BufReader::new(file), limits);
+        let found = reader.and_then(|reader| time.frames(reader.index()));
+        let found = found.map_err(|error| about(error, &name_of(path)))?;
+        if found.untimed > 0 {
+            let (name, frames) = (name_of(path), readable::count(found.untimed, "frame"));
+            console.say(format_args!(
+                "lidarpc: {name}: left out {frames} without a time; --frames chooses by number"
+            ));
+        }
+        let times = (found.of_other_times > 0).then_some(found.times);
+        Ok(ChosenFrames { range: found.frames, times })
     }
-    Ok(range)
+
+    /// Whether a frame of the range is one of them.
+    pub fn contains(&self, stamp: &Stamp) -> bool {
+        match (self.times, stamp.time) {
+            (Some(times), Some(time)) => times.contains(time.nanoseconds),
+            _ => true,
+        }
+    }
 }
 
 /// Calls `work` on each file. If there are several, failures are reported and the other files are still

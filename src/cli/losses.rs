@@ -8,6 +8,7 @@ use crate::stream::FrameRange;
 use anyhow::Result;
 use serde::Serialize;
 
+use super::console::to_stderr;
 use super::errors::NotWhole;
 use super::input::name_of;
 use super::readable;
@@ -80,14 +81,14 @@ impl Losses {
         if !lost.names.is_empty() {
             line.push_str(if lost.names.len() > MOST_NAMES { ", ...)" } else { ")" });
         }
-        eprintln!("lidarpc: {}", one_line(format_args!("{line}: {}", lost.why)));
+        to_stderr(format_args!("lidarpc: {}", one_line(format_args!("{line}: {}", lost.why))));
     }
 
     /// Reports the loss of a frame that is intact, but cannot be written.
     pub fn report_frame(&mut self, why: &Error) {
         self.places += 1;
         self.frames += 1;
-        eprintln!("lidarpc: {}: {}", self.input, one_line(why));
+        to_stderr(format_args!("lidarpc: {}: {}", self.input, one_line(why)));
     }
 
     /// The machine-readable report; `None` if nothing was lost.

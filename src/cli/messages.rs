@@ -4,12 +4,12 @@
 use std::io::{self, Write};
 use std::time::Instant;
 
-use crate::files::{ArrivedFile, ArrivingFrames, collected};
+use crate::files::{ArrivedFile, ArrivingFrames, MOST_NAME_BYTES, collected};
 use crate::frame::EncoderConfig;
 use crate::ground::error;
 use crate::ground::team::resolve_threads;
 use crate::stream::encoder::MessageCoder;
-use crate::stream::{self, DecodeOptions, FrameInput};
+use crate::stream::{self, DecodeOptions, DecodedFrame, FrameInput};
 use crate::study::metrics;
 use anyhow::Result;
 use serde::Serialize;
@@ -83,7 +83,7 @@ pub fn decode(args: &DecodeArgs, console: Console) -> Result<()> {
         true => None,
         false => Some(FolderOutput::create(args.output(), args.force)?.keeping(&args.inputs)),
     };
-    let converter = Converter::new(args.format);
+    let converter = Converter::new(args.format).with_any_names();
     let mut sizes = Sizes::default();
     let options = DecodeOptions {
         // A message has a single group, whose frame has two halves.
@@ -92,7 +92,7 @@ pub fn decode(args: &DecodeArgs, console: Console) -> Result<()> {
         ..DecodeOptions::default()
     };
     let mut arriving = ArrivingFrames::new(open(input)?.reader()).with_any_names();
-    let decoded = arriving.try_for_each(|message| {
+    let decoded = (0..).zip(&mut arriving).try_for_each(|(number, message)| {
         let ArrivedFile { name, bytes } = message?;
         sizes.stream_bytes += bytes.len() as u64;
         let sink = |file: File| {
@@ -107,20 +107,27 @@ pub fn decode(args: &DecodeArgs, console: Console) -> Result<()> {
             };
             Ok(())
         };
-        stream::decode(&bytes[..], &options, |frame| converter.file(frame), sink)
-            .map_err(|error| error.at(&name))
-            .map(drop)
+        // Each is the first frame of its stream; frames without names are named by their numbers.
+        let numbered = |frame| converter.file(DecodedFrame { number, ..frame });
+        stream::decode(&bytes[..], &options, numbered, sink).map_err(|error| error.at(&name)).map(drop)
     });
     decoded.map_err(|error| about(error, &name_of(input)))?;
     if let Some(folder) = folder {
         folder.finish()?;
     }
     converter.report_unconverted(console);
-    sizes.report(args.json, console, name_of(args.output()), None, start)
+    sizes.report(args.json, console, name_of_output(args.output()), None, start)
 }
 
 /// Writes a message after its line, and flushes it.
+///
+/// # Errors
+/// If a reader would not take the line, and if writing fails.
 fn write_message(out: &mut dyn Write, name: &str, bytes: &[u8]) -> error::Result<()> {
+    if name.len() > MOST_NAME_BYTES || name.contains(char::is_control) {
+        let what = "is a name that does not fit into the line of a message; decode into a folder";
+        return Err(error::Error::Input { path: name.into(), what: what.to_owned() });
+    }
     writeln!(out, "{name} {}", bytes.len())?;
     out.write_all(bytes)?;
     Ok(out.flush()?)

@@ -202,7 +202,8 @@ pub fn rename_durably(file: TempPath, target: &Path, force: bool) -> io::Result<
 /// it ten times as long.
 const WRITE_BYTES: usize = 64 << 10;
 
-/// A folder to write scans into. Either all of them are renamed at the end, or none.
+/// A folder to write scans into. All of them are renamed at the end, or none, unless the system refuses to
+/// rename one after others.
 pub struct FolderOutput {
     folder: PathBuf,
     /// Ends before the folder is removed.
@@ -279,7 +280,7 @@ impl FolderOutput {
             })
             .map(|()| 0);
         }
-        may_write(&target, self.force).map_err(|e| Error::from(e).at(&target))?;
+        may_write(&target, self.force)?;
         keep_inputs(&target, &self.inputs)?;
         if name.contains('/') {
             fs::create_dir_all(parent(&temporary)).map_err(|e| Error::from(e).at(&target))?;
@@ -313,14 +314,19 @@ impl FolderOutput {
         let mut folders = BTreeSet::from([self.folder.clone()]);
         for name in &names {
             let target = self.folder.join(name);
-            let above = if name.ends_with('/') { target.as_path() } else { parent(&target) };
+            let is_folder = name.ends_with('/');
+            let above = if is_folder { target.as_path() } else { parent(&target) };
             if !folders.contains(above) {
                 self.made.add(above)?;
                 folders.insert(above.to_path_buf());
             }
-            if name.ends_with('/') {
-                continue;
+            if !is_folder {
+                may_write(&target, self.force)?;
             }
+        }
+        // From here on only the system can refuse.
+        for name in names.iter().filter(|name| !name.ends_with('/')) {
+            let target = self.folder.join(name);
             let temporary = TempPath::try_from_path(self.temporary.path().join(name))?;
             let placed = match self.force {
                 true => temporary.persist(&target),
@@ -437,12 +443,8 @@ impl MadeFolders {
         let missing = missing.take_while(|folder| fs::symlink_metadata(folder).is_err());
         // The deepest first, which is the order in which they can be removed.
         self.0.splice(..0, missing.map(Path::to_path_buf));
-        match fs::metadata(folder) {
-            Ok(about) if !about.is_dir() => {
-                Err(Error::from(io::Error::from(io::ErrorKind::NotADirectory)).at(folder))
-            }
-            _ => create_folders(folder),
-        }
+        must_be_folders(folder)?;
+        create_folders(folder)
     }
 
     fn keep(&mut self) {
@@ -488,20 +490,28 @@ pub fn about_output(error: anyhow::Error, path: &Path) -> anyhow::Error {
     if error.is::<io::Error>() { error.context(name_of_output(path)) } else { error }
 }
 
-/// An error if a scan must not be written here: over a folder, or over an existing path without `force`.
-fn may_write(target: &Path, force: bool) -> io::Result<()> {
+/// An error if a scan must not be written here: over a folder, over an existing path without `force`, or
+/// below a file.
+fn may_write(target: &Path, force: bool) -> Result<()> {
+    let refused = |kind: io::ErrorKind| Err(Error::from(io::Error::from(kind)).at(target));
     if target.is_dir() {
-        return Err(io::ErrorKind::IsADirectory.into());
+        return refused(io::ErrorKind::IsADirectory);
     }
-    if !force && exists(target) {
-        return Err(io::ErrorKind::AlreadyExists.into());
+    // A dangling link exists as well.
+    match fs::symlink_metadata(target) {
+        Ok(_) if !force => refused(io::ErrorKind::AlreadyExists),
+        Err(error) if error.kind() == io::ErrorKind::NotADirectory => must_be_folders(parent(target)),
+        _ => Ok(()),
     }
-    Ok(())
 }
 
-/// Whether this path exists, even as a dangling link.
-fn exists(path: &Path) -> bool {
-    fs::symlink_metadata(path).is_ok()
+/// An error if this path, or one above it, is something else than a folder.
+fn must_be_folders(folder: &Path) -> Result<()> {
+    let is_other = |path: &&Path| fs::metadata(path).is_ok_and(|about| !about.is_dir());
+    folder.ancestors().find(is_other).map_or(Ok(()), |path| {
+        let what = "is no folder, but one is needed there; move it away, or choose another output".to_owned();
+        Err(Error::Input { path: path.to_path_buf(), what })
+    })
 }
 
 /// The folder that contains a file.

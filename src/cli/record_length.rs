@@ -2,7 +2,7 @@
 //! record length a file takes many times the bytes.
 
 use crate::backend;
-use crate::files::{HeaderlessLayout, Kind};
+use crate::files::{HeaderlessLayout, Kind, is_nclt};
 
 /// Number of bytes of each file that are examined, from the front.
 pub const SAMPLE: u64 = 32 << 10;
@@ -49,6 +49,9 @@ pub fn examine(samples: &[Sample], layout: Option<&HeaderlessLayout>) -> Verdict
     let kitti: Vec<_> = of_kind(Kind::Kitti).filter(|sample| sample.start.len() >= 1 << 10).collect();
     // A single layout cannot be suggested for files of two kinds; those of nuScenes are as their name says.
     if kitti.is_empty() || of_kind(Kind::NuScenes).next().is_some() {
+        return Verdict::Agrees;
+    }
+    if layout.is_none() && kitti.iter().all(|sample| is_nclt(&sample.start)) {
         return Verdict::Agrees;
     }
     let assumed = match layout.map_or(HeaderlessLayout::kitti().layout(), HeaderlessLayout::layout) {
@@ -255,6 +258,17 @@ mod tests {
         sorted.start = records.concat();
         sorted.size = sorted.start.len() as u64;
         assert_eq!(examine(&[sorted], None), Verdict::Agrees);
+    }
+
+    #[test]
+    fn records_of_nclt_are_known() {
+        let record = |n: u16| [20_000 + n, 20_100, 19_800].map(u16::to_le_bytes).concat();
+        let start: Vec<u8> =
+            (0..400).flat_map(|n| [record(n), vec![n as u8, n as u8 % 32]].concat()).collect();
+        let sample = Sample { name: "0.bin".to_owned(), size: start.len() as u64, start };
+        assert_eq!(examine(std::slice::from_ref(&sample), None), Verdict::Agrees);
+        let cut = Sample { start: sample.start[8..].iter().map(|byte| !byte).collect(), ..sample };
+        assert_eq!(examine(&[cut], None), Verdict::NoFloats);
     }
 
     #[test]

@@ -12,6 +12,7 @@ use std::sync::{Mutex, MutexGuard};
 use std::thread;
 use std::time::Duration;
 
+use super::console::to_stderr;
 use crate::ground::team::locked;
 
 /// The paths to remove when a signal ends the program.
@@ -170,7 +171,7 @@ pub fn on_signals() {
             if let Some(words) = &*locked(&LAST_WORDS) {
                 // On a new line after the progress bar.
                 let start = if std::io::stderr().is_terminal() { "\n" } else { "" };
-                eprintln!("{start}lidarpc: {words}");
+                to_stderr(format_args!("{start}lidarpc: {words}"));
             }
             // Ends the program as the signal would have, so that a shell's loop ends too.
             let _ = signal_hook::low_level::emulate_default_handler(signal);

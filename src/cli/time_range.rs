@@ -14,23 +14,47 @@ pub struct TimeRange {
     end: Option<i64>,
 }
 
+/// Frames in a range of times.
+#[derive(Debug)]
+pub struct TimedFrames {
+    /// From the first to the last of them.
+    pub frames: FrameRange,
+    /// Number of frames before and after these that have no time.
+    pub untimed: u64,
+    /// Number of frames among these whose times are not in the range.
+    pub of_other_times: u64,
+    pub times: Times,
+}
+
+/// A range of times, and the time of the first frame, from which it counts.
+#[derive(Clone, Copy, Debug)]
+pub struct Times {
+    range: TimeRange,
+    first: i64,
+}
+
+impl Times {
+    /// Whether a time, in nanoseconds, is in the range.
+    pub fn contains(&self, time: i64) -> bool {
+        let after = time.saturating_sub(self.first);
+        after >= self.range.start && self.range.end.is_none_or(|end| after < end)
+    }
+}
+
 impl TimeRange {
-    /// The frames in this range of times, from the first to the last, and the number of frames before and
-    /// after them that have no time.
+    /// The frames in this range of times.
     ///
     /// # Errors
     /// If no frame has a time, or none is in the range.
-    pub fn frames(&self, index: &Index) -> Result<(FrameRange, u64)> {
+    pub fn frames(&self, index: &Index) -> Result<TimedFrames> {
         let frames =
             || index.groups.iter().flat_map(|group| &group.frames).filter(|frame| !frame.is_beside());
         let time = |frame: &FrameEntry| frame.stamp.time.map(|time| time.nanoseconds);
         let Some(first) = frames().find_map(time) else {
             return Err(Error::Usage("its frames have no times; choose by --frames".to_owned()));
         };
-        let is_wanted = |time: i64| {
-            let after = time.saturating_sub(first);
-            after >= self.start && self.end.is_none_or(|end| after < end)
-        };
+        let times = Times { range: *self, first };
+        let is_wanted = |time: i64| times.contains(time);
         let numbered = (0u64..).zip(frames());
         let wanted =
             numbered.filter(|(_, frame)| time(frame).is_some_and(is_wanted)).map(|(number, _)| number);
@@ -42,10 +66,17 @@ impl TimeRange {
                 "holds no frame of that time; its times go from 0 to {seconds:.3} s"
             )));
         };
-        let untimed = (0u64..)
-            .zip(frames())
-            .filter(|(number, frame)| !(start..=last).contains(number) && time(frame).is_none());
-        Ok((FrameRange { start, end: Some(last + 1) }, untimed.count() as u64))
+        let is_within = |number: u64| (start..=last).contains(&number);
+        let numbered = || (0u64..).zip(frames());
+        let untimed = numbered().filter(|(number, frame)| !is_within(*number) && time(frame).is_none());
+        let of_other_times =
+            numbered().filter(|(number, frame)| is_within(*number) && !time(frame).is_none_or(is_wanted));
+        Ok(TimedFrames {
+            frames: FrameRange { start, end: Some(last + 1) },
+            untimed: untimed.count() as u64,
+            of_other_times: of_other_times.count() as u64,
+            times,
+        })
     }
 }
 
@@ -115,7 +146,7 @@ mod tests {
         index.groups = vec![entry(0, &[None, Some(0), Some(1)]), entry(3, &[Some(2), None, Some(4)])];
         let frames = |text: &str| {
             let found = text.parse::<TimeRange>().unwrap().frames(&index);
-            found.map(|(range, untimed)| (range.start, range.end, untimed))
+            found.map(|found| (found.frames.start, found.frames.end, found.untimed))
         };
         assert_eq!(frames("0.1..0.3").unwrap(), (2, Some(4), 2));
         assert_eq!(frames("0.2..").unwrap(), (3, Some(6), 1));

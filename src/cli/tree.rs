@@ -19,7 +19,7 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::args::{DecodeArgs, EncodeArgs, wrong_usage};
-use super::console::Console;
+use super::console::{Console, to_stderr};
 use super::encoding::{Done, encode_inputs};
 use super::errors::{NotWhole, say};
 use super::frames::{self, InputFiles};
@@ -60,22 +60,23 @@ pub fn encode(args: &EncodeArgs, config: &EncoderConfig, console: Console) -> Re
     let reports = encode_each(args, &each, &drives, jobs, &bar, console);
     bar.finish_and_clear();
     let failed = reports.iter().filter(|report| report.is_err()).count();
-    let (complete, done): (Vec<DriveReport>, Vec<DriveReport>) =
-        reports.into_iter().flatten().partition(|report| report.stream.was_complete);
+    let reports: Vec<DriveReport> = reports.into_iter().flatten().collect();
     if args.json {
         print_json(&TreeReport {
-            drives: done.iter().map(|report| &report.stream).collect(),
+            drives: reports.iter().map(|report| &report.stream).collect(),
             left_out: LeftOutReport::of(&left_out),
         })?;
     } else if !console.is_quiet {
+        let (complete, done): (Vec<_>, Vec<_>) =
+            reports.into_iter().partition(|report| report.stream.was_complete);
         print(&done, complete.len(), args.verbose, start);
     }
     ensure!(failed == 0, "{failed} of {} failed", readable::count(drives.len() as u64, "drive"));
     Ok(())
 }
 
-/// Encodes drives, `jobs` at a time. Their reports, in the order of the names of their streams; errors are
-/// printed as they occur.
+/// Encodes drives, `jobs` at a time. Their reports, in the order of the drives; errors are printed as they
+/// occur.
 fn encode_each(
     args: &EncodeArgs,
     config: &EncoderConfig,
@@ -88,14 +89,15 @@ fn encode_each(
     std::thread::scope(|scope| {
         for _ in 0..jobs.min(drives.len()) {
             scope.spawn(|| {
-                while let Some(drive) = drives.get(next.fetch_add(1, Ordering::Relaxed)) {
+                loop {
+                    let number = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(drive) = drives.get(number) else { break };
                     let report = encode_drive(args, config, drive, console);
                     if let Err(error) = &report {
                         bar.suspend(|| say(error));
                     }
                     bar.inc(drive.found.frames.len() as u64);
-                    let mut reports = locked(&reports);
-                    reports.insert(&drive.output, report);
+                    locked(&reports).insert(number, report);
                 }
             });
         }
@@ -109,11 +111,11 @@ fn print(done: &[DriveReport], complete: usize, is_verbose: bool, start: Instant
     const FEW: usize = 20;
     if done.is_empty() && complete > 0 {
         let drives = readable::count(complete as u64, "drive");
-        eprintln!("{drives}: already complete, from these files with these settings");
+        to_stderr(format_args!("{drives}: already complete, from these files with these settings"));
         return;
     }
     for DriveReport { stream, line } in done.iter().filter(|_| done.len() <= FEW || is_verbose) {
-        eprintln!("{}: {line}", stream.file);
+        to_stderr(format_args!("{}: {line}", stream.file));
     }
     let of_all =
         |count: fn(&StreamReport) -> u64| done.iter().map(|report| count(&report.stream)).sum::<u64>();
@@ -122,7 +124,7 @@ fn print(done: &[DriveReport], complete: usize, is_verbose: bool, start: Instant
         0 => String::new(),
         drives => format!(", {} there already", readable::count(drives as u64, "drive")),
     };
-    eprintln!(
+    to_stderr(format_args!(
         "{}, {}: {} -> {} ({}){complete} in {:.1} s",
         readable::count(done.len() as u64, "drive"),
         readable::count(of_all(|report| report.frames), "frame"),
@@ -130,7 +132,7 @@ fn print(done: &[DriveReport], complete: usize, is_verbose: bool, start: Instant
         readable::bytes(after),
         readable::percent(metrics::ratio(before, after)),
         start.elapsed().as_secs_f64(),
-    );
+    ));
 }
 
 /// The drives of the inputs, and what is left out of these. As the same names may occur in several inputs,
@@ -226,7 +228,7 @@ fn encode_drive(
     frames::settle(&drive.found.frames, &mut config, &place, console)?;
     let Done { encoded, was_complete, .. } = encode_inputs(args, &config, &drive.found, Console::SILENT)?;
     if args.rm {
-        drive.found.delete(&args.inputs, &encoded)?;
+        drive.found.delete(&args.inputs, &encoded, console)?;
     }
     let seconds = start.elapsed().as_secs_f64();
     let mut stream = StreamReport::of(args, &config, &encoded, &drive.found.left_out, seconds);

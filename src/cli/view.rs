@@ -21,7 +21,7 @@ use super::console::Console;
 use super::encoding::encode_in_memory;
 use super::errors::about;
 use super::input::{Originals, is_stream, name_of, open, refuse_recordings};
-use super::output::{FileOutput, about_output, keep_inputs};
+use super::output::{FileOutput, about_output, keep_inputs, name_of_output};
 use pictures::{PICTURES, Pictures};
 
 pub fn run(args: &ViewArgs, console: Console) -> Result<()> {
@@ -47,8 +47,7 @@ fn write_picture(args: &ViewArgs, path: &Path) -> Result<()> {
     let written = writer.write_all(&picture.to_png()?).and_then(|()| writer.flush());
     drop(writer);
     written.map_err(|error| about_output(error.into(), path))?;
-    output.finish()?;
-    Ok(())
+    output.finish().map_err(|error| about(error, &name_of_output(path)))
 }
 
 /// Writes the frames as a page.
@@ -85,8 +84,7 @@ fn page_of<R: Read + Seek + Send>(
     let written = written.and_then(|()| Ok(writer.flush()?));
     drop(writer);
     written.map_err(|error| about_output(error, path))?;
-    output.finish()?;
-    Ok(())
+    output.finish().map_err(|error| about(error, &name_of_output(path)))
 }
 
 /// A frame, and its original file, if known.

@@ -11,6 +11,8 @@ use crate::ground::error::{Error, Limits, Result};
 
 /// The longest line before a frame, in bytes: a name, a space, and a number.
 const MAX_LINE: usize = 300;
+/// The longest name in such a line, in bytes: the number takes ten.
+pub const MOST_NAME_BYTES: usize = MAX_LINE - 12;
 
 /// The first bytes of compressed files, which no name can begin with, and the programs that decompress them.
 const COMPRESSORS: [(&[u8], &str); 4] =

@@ -123,7 +123,7 @@ const NCLT: Axis = Axis { per_metre: 200.0, offset: -100.0 };
 /// Whether a file holds records of the NCLT data set: x, y and z as 16-bit integers, then intensity and
 /// laser, a byte each. Nothing says so but the values: the coordinates are up to 100 m, and an HDL-32E has 32
 /// lasers. In a file of float32, the last byte of a value is as small only for numbers near 0.
-fn is_nclt(bytes: &[u8]) -> bool {
+pub fn is_nclt(bytes: &[u8]) -> bool {
     const RECORD: usize = 8;
     const FEWEST: usize = 100;
     const LASERS: u8 = 32;

@@ -32,11 +32,11 @@ pub mod times;
 mod widened;
 
 #[cfg(feature = "cli")]
-pub use arrival::{ArrivedFile, ArrivingFrames};
+pub use arrival::{ArrivedFile, ArrivingFrames, MOST_NAME_BYTES};
 pub use convert::{FileFormat, convert, is_convertible};
 pub use field::MOST_FIELDS;
 pub(crate) use field::{INTENSITY, POSITION};
-pub use headerless::HeaderlessLayout;
+pub use headerless::{HeaderlessLayout, is_nclt};
 #[cfg(feature = "recordings")]
 pub(crate) use records::parse_big_endian as big_endian_file;
 pub(crate) use records::{are_intensities, plain_file};

@@ -310,7 +310,16 @@ impl Tree {
     /// Converts the tree to files with their names in a stream.
     fn into_sequence(self, input: &Path, all: bool) -> Result<Sequence> {
         if self.folders.is_empty() {
-            return Err(input_error(input, format!("holds no scans; give a folder of {EXTENSIONS} files")));
+            let mut others = self.beside.iter().chain(self.left_out.iter().map(|(_, path)| path));
+            let advice = |path: &PathBuf| {
+                let mcap =
+                    has_extension(&lossy_name(path), "mcap").then_some("give this recording by itself");
+                Some((path.clone(), advice_on_recording(path).or(mcap)?))
+            };
+            return Err(match others.find_map(advice) {
+                Some((path, advice)) => input_error(&path, advice),
+                None => input_error(input, format!("holds no scans; give a folder of {EXTENSIONS} files")),
+            });
         }
         let has_paths = all || self.folders.len() > 1;
         let mut found = Sequence { left_out: self.left_out, ..Sequence::default() };
@@ -368,6 +377,14 @@ fn drive_of(folder: &str) -> String {
         drive => drive.strip_suffix('/'),
     });
     inside.unwrap_or(folder).to_owned()
+}
+
+/// What to do with a file whose name is that of a ROS recording in another format than MCAP; `None` for
+/// others.
+pub fn advice_on_recording(path: &Path) -> Option<&'static str> {
+    let name = lossy_name(path);
+    (has_extension(&name, "bag") || has_extension(&name, "db3"))
+        .then_some("turn it into an .mcap by `rosbags-convert` (PyPI: rosbags), and encode that")
 }
 
 fn lossy_name(path: &Path) -> String {
@@ -541,9 +558,18 @@ mod tests {
 
     #[test]
     fn errors_name_the_path_and_say_what_to_do() {
-        let dir = folder(&["a/1.bin", "b/1.bin", "empty/readme.txt", "evil/nul.bin"]);
+        let dir = folder(&[
+            "a/1.bin",
+            "b/1.bin",
+            "empty/readme.txt",
+            "evil/nul.bin",
+            "ros1/drive.bag",
+            "ros2/drive_0.mcap",
+        ]);
         assert!(complaint(&dir, &["missing"], "missing").contains("does not exist"));
         assert!(complaint(&dir, &["empty"], "empty").contains("holds no scans"));
+        assert!(complaint(&dir, &["ros1"], "ros1/drive.bag").contains("rosbags-convert"));
+        assert!(complaint(&dir, &["ros2"], "ros2/drive_0.mcap").contains("by itself"));
         assert!(complaint(&dir, &["a", "b"], "b/1.bin").contains("same name"));
         assert!(complaint(&dir, &["a/1.bin", "a"], "a/1.bin").contains("given twice"));
         assert!(complaint(&dir, &["evil"], "evil/nul.bin").contains("that of a device on Windows; rename"));
