@@ -17,7 +17,7 @@ use lidarpc::internals::models::{
     RangeScale,
 };
 use lidarpc::internals::scanner::hdl64::{Hdl64, Hdl64ColumnModel, fit, project};
-use lidarpc::internals::scanner::{CoordinateGrid, EXACT_RANGE_BITS, Projection, REACH};
+use lidarpc::internals::scanner::{CoordinateGrid, LEAST_RANGE_BITS, Projection, REACH};
 
 fn stages(c: &mut Criterion) {
     for (name, scans) in drives() {
@@ -66,7 +66,7 @@ fn frame_stages(c: &mut Criterion, (name, scans): &Drive, scanner: &Hdl64) {
                 occupancy: &occupancy,
                 intensity: &no_intensity,
                 reference: None,
-                scale: RangeScale { bits: EXACT_RANGE_BITS, bin: 1 },
+                scale: RangeScale { bits: LEAST_RANGE_BITS, bin: 1 },
             };
             model.code(&mut encoder(), &known, steps);
         });

@@ -13,7 +13,7 @@ use crate::ground::error::{Error, Result};
 use crate::ground::grid::Grid;
 use crate::ground::varint::{read_signed, read_unsigned, read_within, write_signed, write_unsigned};
 use crate::inter::registration::QuantisedPose;
-use crate::scanner::{EXACT_RANGE_BITS, Scanner};
+use crate::scanner::{LEAST_RANGE_BITS, Scanner};
 
 /// The section's name in errors.
 pub(super) const PART: &str = "frame parameters";
@@ -274,7 +274,7 @@ impl RangeCoder {
 
     /// The context coder with exact ranges and this modelling.
     pub(crate) const fn of_modelling(modelling: Modelling) -> Self {
-        RangeCoder::Context { modelling, range_bits: EXACT_RANGE_BITS, bin: 1, between: false }
+        RangeCoder::Context { modelling, range_bits: LEAST_RANGE_BITS, bin: 1, between: false }
     }
 
     /// This coder with ranges to within half a bin of `bin` steps, if it is the context coder.

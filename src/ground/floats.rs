@@ -7,6 +7,12 @@
 //! and 0.0 count as adjacent, the rank of 0.0 being 0. Values are passed as bits where every bit must be
 //! preserved, since processors change the bits of some NaNs. FORMAT.md 3.4.
 
+/// The square. Unlike that of `powi`, the result is the same everywhere.
+#[inline(always)]
+pub fn square(value: f64) -> f64 {
+    value * value
+}
+
 /// Rounds to the nearest whole number, halves to even; for magnitudes below 2^51.
 #[inline]
 pub fn round_ties_even(value: f64) -> f64 {

@@ -7,6 +7,7 @@ use crate::container::{FrameKind, Stamp, Time, TimeSource};
 use crate::files::{self, INTENSITY, POSITION};
 use crate::frame::decoder::DecodedImage;
 use crate::ground::error::{Error, Result};
+use crate::ground::floats::square;
 use crate::scan::{Channel, Field, Layout, MAX_STRIDE, PointCloud, ScalarType, ScanFile};
 
 /// A scan: points with named, typed channels. Every bit of every value counts: NaN payloads and the sign of
@@ -357,7 +358,7 @@ impl RangeImage {
             // The scanner's ranges are not multiples of a step.
             (_, Some(point)) if scanner.range_step_m() == 0.0 => {
                 let position = positions.get(*point as usize).copied().unwrap_or_default();
-                position.iter().map(|metres| f64::from(*metres).powi(2)).sum::<f64>().sqrt() as f32
+                position.iter().map(|metres| square(f64::from(*metres))).sum::<f64>().sqrt() as f32
             }
             _ => scanner.metres(steps) as f32,
         };

@@ -34,14 +34,14 @@ const fn half_octave(magnitude: u32) -> u32 {
 
 /// Counts the thresholds that a value reaches; they start at `first` and grow by `factor`.
 #[derive(Clone, Debug)]
-pub struct Levels<const N: usize>([f32; N]);
+pub struct Thresholds<const N: usize>([f32; N]);
 
-impl<const N: usize> Levels<N> {
+impl<const N: usize> Thresholds<N> {
     /// Creates `N` thresholds, so `N + 1` classes.
     pub fn new(first: f32, factor: f32) -> Self {
         let mut thresholds = [first; N];
         (1..N).for_each(|i| thresholds[i] = thresholds[i - 1] * factor);
-        Levels(thresholds)
+        Thresholds(thresholds)
     }
 
     /// The class of a value: 0 to `N`.
@@ -73,6 +73,6 @@ mod tests {
         assert_eq!([0, 1, 2, 3, 4, 6, 8].map(half_octave), [0, 1, 3, 4, 5, 6, 7]);
         assert!((1..5000u32).all(|m| half_octave(m + 1) >= half_octave(m)));
         assert_eq!([-1, 0, 1, i32::MIN, i32::MAX].map(signed_level), [15, 16, 17, 1, 31]);
-        assert_eq!([0.5, 1.0, 1.9, 2.0, 99.0].map(|v| Levels::<3>::new(1.0, 2.0).of(v)), [0, 1, 1, 2, 3]);
+        assert_eq!([0.5, 1.0, 1.9, 2.0, 99.0].map(|v| Thresholds::<3>::new(1.0, 2.0).of(v)), [0, 1, 1, 2, 3]);
     }
 }

@@ -13,7 +13,7 @@ mod site;
 mod tokens;
 
 use super::least_squares::LeastSquares;
-use super::quantise::{Levels, signed_level};
+use super::quantise::{Thresholds, signed_level};
 use super::shape::ErrorShape;
 use crate::entropy::{BitCoder, Counter, Logistic, MixedBits};
 use crate::ground::grid::Grid;
@@ -67,7 +67,7 @@ const REFERENCE_VIEW_SIZES: [usize; REFERENCE_VIEWS] = [32 * 32, 32 * 32];
 /// The learning rates of the mixture.
 const RATES: Rates = Rates { weights: 0.02, scales: 0.02, early: 0.0 };
 
-type ErrorLevels = Levels<{ ERROR_LEVELS - 1 }>;
+type ErrorLevels = Thresholds<{ ERROR_LEVELS - 1 }>;
 type RangeBits = MixedBits<VIEWS, OPINIONS>;
 
 /// The adaptive models of ranges.
@@ -100,7 +100,7 @@ impl Default for RangeModel {
         RangeModel {
             shape: ErrorShape::new(),
             tables: Logistic::tables(),
-            error_levels: Levels::new(1.6, 1.6),
+            error_levels: Thresholds::new(1.6, 1.6),
             bits: MixedBits::new(sizes, sets * (1 + REFERENCE_LEVELS), 0.0, 1.0, 0.004),
             fits: vec![LeastSquares::new(LONG_MEMORY); EDGES],
             residuals: Residuals::default(),

@@ -11,6 +11,8 @@ pub use layout::{
 pub use scalar::{Number, ScalarType};
 pub use text_format::{Column, MAX_DIGITS, NumberRule, Printf, Separator, TextFormat};
 
+use crate::ground::floats::square;
+
 /// The points of one scan, in the order of the file. Every bit of every value counts:
 /// NaN payloads and the sign of zero are kept.
 #[derive(Clone, Debug, Default)]
@@ -136,5 +138,5 @@ pub fn fullest(sample: &[ScanFile]) -> Option<&ScanFile> {
 
 /// Squared 3-D distance of two positions, in square metres.
 pub fn squared_distance(a: &[f32; 3], b: &[f32; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum()
+    a.iter().zip(b).map(|(a, b)| square(f64::from(*a) - f64::from(*b))).sum()
 }

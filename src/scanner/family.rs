@@ -175,8 +175,10 @@ impl Scanner {
                     continue;
                 };
                 let reproduces_most = found.reproduces_most(&positions);
-                let found =
-                    if reproduces_most && sample.len() > 1 { fit(sample, orientation)? } else { found };
+                let found = match reproduces_most && sample.len() > 1 {
+                    true => fit(sample, orientation).unwrap_or(found),
+                    false => found,
+                };
                 let found = Scanner::from(found).oriented(orientation);
                 if reproduces_most {
                     return Some((found, true));

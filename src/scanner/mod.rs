@@ -20,8 +20,8 @@ pub use family::{ColumnModels, Family, LEAST_EXPLAINED, Scanner};
 pub use ideal::{ideal, ideal_of};
 pub use orientation::Orientation;
 pub use range_image::{
-    EXACT_RANGE_BITS, Echo, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, Projection, REACH,
-    RangeImage, Return,
+    Echo, FLOAT_RANGES, LEAST_RANGE_BITS, MOST_RANGE_STEP_UM, MOST_ROWS, MOST_STEPS, MOST_TICKS, Projection,
+    REACH, RangeImage, Return,
 };
 
 /// Numbers of lasers that a scanner may have.
@@ -37,6 +37,9 @@ pub(crate) fn channel_of_lasers(channels: &[Channel]) -> Option<&Channel> {
     })
 }
 
+/// Number of points that are computed at once: a few vectors of any processor.
+pub(crate) const AT_ONCE: usize = 8;
+
 /// The median of some values; infinite if there are none.
 pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
@@ -46,5 +49,5 @@ pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
 
 /// At most about `count` of the values, evenly spaced.
 pub(crate) fn thinned<T>(values: &[T], count: usize) -> impl Iterator<Item = &T> {
-    values.iter().step_by(values.len().div_ceil(count).max(1))
+    values.iter().step_by(values.len().div_ceil(count.max(1)).max(1))
 }

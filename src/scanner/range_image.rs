@@ -8,14 +8,17 @@ use crate::ground::grid::Grid;
 
 /// The finest azimuth grid allowed, in ticks a turn: 0.001 degree.
 pub const MOST_TICKS: u64 = 360_000;
+/// The largest number of rows of a range image: more lasers than any scanner has.
+pub const MOST_ROWS: u64 = 1024;
 /// The coarsest range step, in micrometres.
 pub const MOST_RANGE_STEP_UM: u64 = 1_000_000;
 /// The range step that means that steps are the bits of ranges in metres as float32.
 pub const FLOAT_RANGES: u32 = 0;
 /// The longest range in any range image, in steps.
 pub const MOST_STEPS: u32 = (1 << 24) - 1;
-/// The number of bits of a range, in steps, in a lossless image.
-pub const EXACT_RANGE_BITS: u32 = 16;
+/// The number of bits of a range, in steps, in a lossless image, unless the scanner's ranges are longer: those
+/// of an HDL-64E are not.
+pub const LEAST_RANGE_BITS: u32 = 16;
 /// The largest error of the formula, in metres along an axis in addition to half a range step, for a point of
 /// a lossless image.
 pub const REACH: f64 = 0.003;

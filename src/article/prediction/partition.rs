@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use super::ransac::least_squares_plane;
 use super::surface::{Rays, SurfaceModel};
+use crate::ground::floats::square;
 use crate::ground::grid::Grid;
 
 /// Cost of a border in bits for each cell along it, measured on real contour maps.
@@ -41,7 +42,7 @@ impl Judge<'_> {
     pub fn region(&self, cells: Vec<(u32, u32)>, model: SurfaceModel) -> Region {
         let error = |&(row, column): &(u32, u32)| {
             let cell = (row as usize, column as usize);
-            (f64::from(self.steps[cell]) - f64::from(self.rays.range(&model, cell))).powi(2)
+            square(f64::from(self.steps[cell]) - f64::from(self.rays.range(&model, cell)))
         };
         let squared_errors = cells.iter().map(error).sum();
         Region { cells, model, squared_errors }

@@ -62,7 +62,8 @@ pub fn fit_plane(points: &[[f64; 3]], config: &RansacConfig) -> Option<[f64; 3]>
 
 /// N of Algorithm 1.
 fn trials(config: &RansacConfig) -> usize {
-    let all_three = config.foreseeable_support.clamp(0.01, 0.999).powi(3);
+    let support = config.foreseeable_support.clamp(0.01, 0.999);
+    let all_three = support * support * support;
     let trials = libm::log(1.0 - config.confidence.clamp(0.0, 0.999_999)) / libm::log(1.0 - all_three);
     trials.round().clamp(1.0, MOST_TRIALS) as usize
 }

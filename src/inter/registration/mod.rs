@@ -12,8 +12,8 @@ pub use projective::columns_by_tick;
 pub use surface::{Surface, Surfel, dot};
 
 use crate::ground::error::{Error, Result};
-use crate::scanner::RangeImage;
 use crate::scanner::hdl64::Hdl64;
+use crate::scanner::{RangeImage, thinned};
 #[cfg(feature = "article")]
 use icp::NearestPoints;
 use projective::Aim;
@@ -141,10 +141,10 @@ pub fn register(
             /// Number of points of the reference for each point of the current frame.
             const DENSITY: usize = 4;
             let most = config.most_points.saturating_mul(DENSITY);
-            let points = NearestPoints::of(evenly(&reference.surfels, most))?;
+            let points = NearestPoints::of(thinned(&reference.surfels, most))?;
             let current = Surface::of(scanner, &current.columns, &current.steps).surfels;
             let current: Vec<_> =
-                evenly(&current, config.most_points).map(|surfel| surfel.position).collect();
+                thinned(&current, config.most_points).map(|surfel| surfel.position).collect();
             approach(config, initial, current.len(), |motion, reach| points.step(&current, motion, reach))
         }
     }
@@ -172,9 +172,4 @@ fn approach(
         reach = (reach * 0.6).max(last_reach);
     }
     None
-}
-
-/// At most `most` elements, sampled evenly.
-fn evenly<T>(all: &[T], most: usize) -> impl Iterator<Item = &T> {
-    all.iter().step_by(all.len().div_ceil(most.max(1)).max(1))
 }

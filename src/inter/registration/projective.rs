@@ -10,9 +10,10 @@ use nalgebra::{Matrix6, Vector3, Vector6};
 
 use super::pose::{Pose, RigidMotion};
 use super::surface::{Surface, Surfel, dot};
-use super::{Step, evenly, small_step};
-use crate::scanner::RangeImage;
+use super::{Step, small_step};
+use crate::ground::floats::square;
 use crate::scanner::hdl64::Hdl64;
+use crate::scanner::{RangeImage, thinned};
 
 /// The current image, with which surfels are compared.
 pub struct Aim<'a> {
@@ -43,7 +44,7 @@ impl<'a> Aim<'a> {
                 continue;
             }
             agreeing += 1;
-            let weight = (1.0 - (off / reach).powi(2)).powi(2);
+            let weight = square(1.0 - square(off / reach));
             weights += weight;
             let turned = position.cross(&facing);
             let gradient = Vector6::new(turned.x, turned.y, turned.z, facing.x, facing.y, facing.z);
@@ -83,7 +84,7 @@ pub fn sample(surface: &Surface, most: usize) -> Vec<Surfel> {
     let (mut chosen, mut room) = (Vec::new(), most);
     for (surfels, ways) in by_way.iter().zip((1..=WAYS).rev()) {
         let before = chosen.len();
-        chosen.extend(evenly(surfels, room / ways));
+        chosen.extend(thinned(surfels, room / ways));
         room -= chosen.len() - before;
     }
     chosen
@@ -129,7 +130,7 @@ const BEST: usize = 3;
 
 /// The motions, out of many, for which the most surfels agree with the returns in their directions.
 pub fn starts(aim: &Aim, surfels: &[Surfel]) -> Vec<Pose> {
-    let few: Vec<Surfel> = super::evenly(surfels, FEW).copied().collect();
+    let few: Vec<Surfel> = thinned(surfels, FEW).copied().collect();
     let mut starts = Vec::new();
     for step in -BACKWARD..=FORWARD {
         for turn in -TURNS..=TURNS {

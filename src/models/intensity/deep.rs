@@ -22,7 +22,7 @@ use crate::entropy::{
 };
 use crate::ground::lanes::lanes;
 use crate::models::least_squares::LeastSquares;
-use crate::models::quantise::{Levels, signed_level};
+use crate::models::quantise::{Thresholds, signed_level};
 use crate::models::shape::{ErrorShape, Placed};
 
 /// The number of opinions, rounded up: those of the views, of the fit, and of the network, and a constant
@@ -49,7 +49,7 @@ pub struct DeepLevels {
     network: LevelNetwork,
     counters: [HashedCounters; VIEWS],
     mixer: LayeredMixer<OPINIONS, 2>,
-    levels: Levels<{ ERROR_LEVELS - 1 }>,
+    levels: Thresholds<{ ERROR_LEVELS - 1 }>,
     errors: MeanErrors,
     tables: &'static Logistic,
 }
@@ -67,7 +67,7 @@ impl Default for DeepLevels {
             network: Network::new(NETWORK_TABLES, (1 + GATES) * NODES, NETWORK_RATES),
             counters: std::array::from_fn(|_| HashedCounters::new(*INDEX_BITS.start())),
             mixer: LayeredMixer::new(counts, [0.15; OPINIONS], RATES),
-            levels: Levels::new(0.7, 1.45),
+            levels: Thresholds::new(0.7, 1.45),
             errors: MeanErrors::default(),
             tables: Logistic::tables(),
         }

@@ -166,9 +166,9 @@ impl<C: TokenCoder, const FITTED: bool, const SIMPLE: bool> NullaryFnOnce
 const MISS_LEVELS: usize = 40;
 /// Classes of the expected miss and of the surrounding roughness, for least squares.
 const FITTED_MISS_LEVELS: usize = 16;
-const ACTIVITY_LEVELS: usize = 6;
+const ACTIVITY_CLASSES: usize = 6;
 /// Number of contexts of a range.
-pub const RANGE_CONTEXTS: usize = FITTED_MISS_LEVELS * ACTIVITY_LEVELS;
+pub const RANGE_CONTEXTS: usize = FITTED_MISS_LEVELS * ACTIVITY_CLASSES;
 /// Number of features from the neighbours alone, and with the frame before.
 const FEATURES: usize = 8;
 const REFERRING_FEATURES: usize = 16;
@@ -352,8 +352,8 @@ impl Near {
     /// The context for least squares.
     #[inline(always)]
     fn context(&self, expected: u32, bin: u32) -> usize {
-        let activity = ((1 + self.activity() / bin).ilog2() as usize / 2).min(ACTIVITY_LEVELS - 1);
-        miss_level(expected / bin) * ACTIVITY_LEVELS + activity
+        let activity = ((1 + self.activity() / bin).ilog2() as usize / 2).min(ACTIVITY_CLASSES - 1);
+        miss_level(expected / bin) * ACTIVITY_CLASSES + activity
     }
 }
 
@@ -366,7 +366,7 @@ fn feature(range: i32, from: i32) -> f32 {
 fn least_miss_of(context: usize) -> f64 {
     /// The cube root of 4.
     const STEP: f64 = 1.587_401;
-    (0..context / ACTIVITY_LEVELS).fold(5.657, |miss, _| miss * STEP)
+    (0..context / ACTIVITY_CLASSES).fold(5.657, |miss, _| miss * STEP)
 }
 
 /// The class of an expected miss, in sixteenths of a bin: three classes for two octaves, from 2^2.5 on.

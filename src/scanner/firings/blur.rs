@@ -8,7 +8,7 @@ use super::constants::Point;
 use super::projection::{Column, LONGEST, Place};
 use super::timing::Span;
 use super::{Build, Firings};
-use crate::ground::floats::round_ties_even;
+use crate::ground::floats::{round_ties_even, square};
 use crate::scan::PointCloud;
 use crate::scanner::{CoordinateGrid, Projection, Return};
 
@@ -50,7 +50,7 @@ impl Blur {
     /// The coherence that values on a grid of steps of `metres` still have.
     pub fn coherence(self, metres: f64) -> f64 {
         let deviation = self.0 / 3f64.sqrt();
-        libm::exp(-0.5 * (TAU * deviation / metres).powi(2))
+        libm::exp(-0.5 * square(TAU * deviation / metres))
     }
 
     /// The coherence that the azimuth of this point still has on a grid of so many ticks a turn.

@@ -430,7 +430,7 @@ impl Constants<'_> {
         if is_known || (exact == points && is_shown) {
             return (0, exact);
         }
-        let tried = Tried { constants: self, bare, offsets, rows: few, found };
+        let tried = Tried { constants: self, bare, offsets, rows: few, elevations: &elevations, found };
         if is_whole { tried.common_in_single_precision(least) } else { tried.common_of_fractions() }
     }
 
@@ -479,14 +479,9 @@ impl Constants<'_> {
         angles(bare.build.recipe, elevation, (points.len(), least), 0.0, of_elevation)
     }
 
-    /// The constants of a laser, given its azimuth offset in degrees, and how many of its points they
-    /// reproduce to the last bit.
-    fn laser(&self, bare: &Firings, row: usize, offset: f64) -> (Laser, usize) {
-        self.laser_among(bare, row, offset, &self.elevations(bare, row, 0).0, 0)
-    }
-
-    /// The same, given the likeliest elevations; possibly without points if there are fewer than `least`. If
-    /// that is 0, gives up where the offset is clearly wrong.
+    /// The constants of a laser, given its azimuth offset in degrees and its likeliest elevations, and how many
+    /// of its points they reproduce to the last bit: possibly none if there are fewer than `least`. If that is
+    /// 0, gives up where the offset is clearly wrong.
     fn laser_among(
         &self,
         bare: &Firings,
@@ -495,10 +490,13 @@ impl Constants<'_> {
         elevations: &[i64],
         least: usize,
     ) -> (Laser, usize) {
+        /// With the right offset, one point in this number or more is reproduced unless points were moved.
+        const FEW: usize = 8;
         let points = &self.of_rows[row];
         let azimuth = (offset / ANGLE_UNIT).round() as i64;
+        let are_moved = self.are_moved(&[row]);
         // Heights near 0 are reproduced only if the motion is known more accurately than it can be.
-        let axes = if self.are_moved(&[row]) { 0..2 } else { 0..3 };
+        let axes = if are_moved { 0..2 } else { 0..3 };
         let elevation = elevations.first().copied();
         let elevation = elevation.unwrap_or((self.elevations[row].to_degrees() / ANGLE_UNIT).round() as i64);
         let mut best = (Laser { elevation, azimuth }, 0);
@@ -512,9 +510,10 @@ impl Constants<'_> {
             if exact > best.1 {
                 best = (Laser { elevation, azimuth: azimuths.first().copied().unwrap_or(azimuth) }, exact);
             }
-            // Elevations of the same sine differ little in their cosine, so if the first one reproduces no
-            // point at all, the offset is wrong.
-            if exact == points.len() || (best.1 == 0 && least == 0) {
+            // Elevations of the same sine differ little in their cosine, so if the first one reproduces hardly
+            // any point, the offset is wrong.
+            let most_of_wrong = if are_moved { 0 } else { points.len() / FEW };
+            if exact == points.len() || (best.1 <= most_of_wrong && least == 0) {
                 break;
             }
         }
@@ -530,6 +529,8 @@ struct Tried<'c> {
     /// The azimuth offsets of all rows, in degrees.
     offsets: &'c [f64],
     rows: &'c [usize],
+    /// The likeliest elevations of each of these rows, and for how many points they reproduce the height.
+    elevations: &'c [(Vec<i64>, usize)],
     /// The laser of each of these rows, and how many of its points it reproduces.
     found: Vec<(Laser, usize)>,
 }
@@ -550,19 +551,27 @@ impl Tried<'_> {
     fn common_of_fractions(&self) -> (i32, usize) {
         /// The largest error that is tried.
         const FARTHEST: i32 = 4;
+        let exact = |lasers: &[(Laser, usize)]| lasers.iter().map(|(_, exact)| exact).sum::<usize>();
         let worth = |lasers: &[(Laser, usize)]| {
-            let exact: usize = lasers.iter().map(|(_, exact)| exact).sum();
-            (exact, lasers.iter().filter(|(laser, _)| is_thousandth(laser.azimuth)).count())
+            let thousandths = lasers.iter().filter(|(laser, _)| is_thousandth(laser.azimuth)).count();
+            (exact(lasers), thousandths)
         };
-        let mut best = (0, worth(&self.found));
+        let (mut best, mut of_best) = (0, self.found.clone());
         for common in Self::rising(FARTHEST) {
-            let laser = |&row: &usize| self.constants.laser(self.bare, row, self.offset(row, common));
-            let worth = worth(&self.rows.iter().map(laser).collect::<Vec<_>>());
-            if worth > best.1 {
-                best = (common, worth);
+            let mut lasers = Vec::new();
+            for (&row, (elevations, _)) in self.rows.iter().zip(self.elevations) {
+                let offset = self.offset(row, common);
+                lasers.push(self.constants.laser_among(self.bare, row, offset, elevations, 0));
+                // With the right error lasers reproduce no fewer points than with another.
+                if exact(&lasers) < exact(&of_best[..lasers.len()]) {
+                    break;
+                }
+            }
+            if lasers.len() == self.rows.len() && worth(&lasers) > worth(&of_best) {
+                (best, of_best) = (common, lasers);
             }
         }
-        (best.0, best.1.0)
+        (best, exact(&of_best))
     }
 
     /// The same if ticks are whole thousandths of degrees: whole ticks then matter only because the recipe
@@ -629,8 +638,10 @@ impl Tried<'_> {
         } else {
             self.likeliest(all, are_moved, &fewer)
         };
-        let exact_so = |&row: &usize| self.constants.laser(self.bare, row, self.offset(row, common)).1;
-        let sum = self.rows.iter().map(exact_so).sum();
+        let exact_so = |(&row, (elevations, _)): (&usize, &(Vec<i64>, usize))| {
+            self.constants.laser_among(self.bare, row, self.offset(row, common), elevations, 0).1
+        };
+        let sum = self.rows.iter().zip(self.elevations).map(exact_so).sum();
         if sum >= exact { (common, sum) } else { (0, exact) }
     }
 

@@ -387,7 +387,8 @@ pub(super) fn known_start(points: &[Point], along: f64) -> Option<(Origin, f64)>
             }
         });
         let of_rows: Vec<(f64, f64)> = of_rows.collect();
-        let coherence = of_rows.iter().map(|(_, strength)| strength).sum::<f64>() / ROWS as f64;
+        let coherence =
+            of_rows.iter().map(|(_, strength)| strength).sum::<f64>() / of_rows.len().max(1) as f64;
         let (common, _) = phase(of_rows.iter().map(|(phase, _)| *phase));
         Some((coherence, maker.origin, common))
     });

@@ -7,12 +7,10 @@ use crate::ground::error::{Error, Result};
 use crate::ground::varint::{
     read_f64, read_signed, read_unsigned, read_within, saturated, write_signed, write_unsigned,
 };
-use crate::scanner::{CoordinateGrid, MOST_RANGE_STEP_UM, MOST_TICKS};
+use crate::scanner::{CoordinateGrid, MOST_RANGE_STEP_UM, MOST_ROWS, MOST_TICKS};
 
 /// Constants are at most one turn, in 1e-9 degrees.
 const LARGEST_ANGLE: u64 = 360_000_000_000;
-/// More lasers than any scanner has.
-const MOST_ROWS: u64 = 1024;
 /// Beams of all scanners start nearer to the origin.
 const MOST_ORIGIN_UM: u64 = 1_000_000;
 /// The numbers of a mounting are smaller: metres, and cosines.
@@ -67,7 +65,7 @@ impl Firings {
         let ticks = read_within(bytes, "scanner: ticks a turn", 1..=MOST_TICKS)? as u32;
         let range_step_um =
             read_within(bytes, "scanner: range step in micrometres", 1..=MOST_RANGE_STEP_UM)? as u32;
-        let grid = read_within(bytes, "scanner: grid of the coordinates", 0..=3)? as u32;
+        let grid = read_within(bytes, "scanner: grid of the coordinates", 0..=5)? as u32;
         let step = read_within(bytes, "scanner: step of the grid", 0..=u32::MAX.into())? as u32;
         let coordinates = CoordinateGrid::from_numbers(grid, step)
             .ok_or_else(|| Error::corrupt("scanner: a grid and a step that do not fit together"))?;

@@ -207,7 +207,7 @@ impl Recipe {
             Recipe::SingleRangeXAhead => {
                 "double precision of ranges in single precision with x ahead (Ouster)"
             }
-            Recipe::RoboSense => "arithmetic of RoboSense's rs_driver",
+            Recipe::RoboSense => "arithmetic of RoboSense's rs_driver and of nuScenes",
             Recipe::RoboSenseEarly => "arithmetic of RoboSense's early rs_driver",
             Recipe::LsLidar => "arithmetic of LSLiDAR's driver",
             Recipe::Nebula => "arithmetic of Autoware's nebula for Hesai since 2026",

@@ -10,9 +10,10 @@ use std::f64::consts::TAU;
 use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 
+use super::model::ON_CONE;
 use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
-use crate::scanner::thinned;
+use crate::scanner::{AT_ONCE, thinned};
 
 /// A point in the form needed by the fit, in metres and radians.
 #[derive(Clone, Copy, Debug, Default)]
@@ -45,10 +46,8 @@ impl NullaryFnOnce for Splitting<'_> {
 
     #[inline(always)]
     fn call(self) -> Vec<Vec<Point>> {
-        /// Number of points computed at a time.
-        const LANES: usize = 8;
         let mut beams = Beams { beams: vec![Vec::new()], row: 0, last: None };
-        let (blocks, rest) = self.0.as_chunks::<LANES>();
+        let (blocks, rest) = self.0.as_chunks::<AT_ONCE>();
         for block in blocks {
             if !beams.take(&points(block)) {
                 return Vec::new();
@@ -92,7 +91,7 @@ impl Beams {
     /// Adds points; false if there are too many beams.
     #[inline(always)]
     fn take(&mut self, points: &[Point]) -> bool {
-        /// More beams than any scanner has.
+        /// With more beams, the file does not have the points of a scanner beam by beam.
         const MOST_BEAMS: usize = 256;
         /// In radians. Within a beam, even points out of order fall back by far less. Scans may be cut to a
         /// sector that is not much wider.
@@ -211,8 +210,6 @@ impl Cone {
 
     /// Whether most of the points lie on the cone.
     fn holds(&self, points: &[Point]) -> bool {
-        /// In metres: less than half the distance between the cones of two beams at any range.
-        const ON_CONE: f64 = 0.004;
         const SAMPLE: usize = 30;
         let (mut on, mut seen) = (0, 0);
         for point in thinned(points, SAMPLE) {

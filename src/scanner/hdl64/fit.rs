@@ -21,7 +21,7 @@ use crate::ground::angle::rough_sine;
 use crate::ground::floats::round_ties_even;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::scan::ScanFile;
-use crate::scanner::{CoordinateGrid, thinned};
+use crate::scanner::{AT_ONCE, CoordinateGrid, thinned};
 
 /// Azimuth ticks in a turn of the scanners that this fit handles.
 const TICKS: u32 = 4000;
@@ -33,8 +33,6 @@ const TICK: f64 = TAU / TICKS as f64;
 const FEWEST_POINTS: usize = 40;
 /// Number of a beam's points that are used where a sample is enough.
 const SAMPLE: usize = 1500;
-/// Number of points computed at a time.
-const LANES: usize = 8;
 /// Minimum share of a beam's points within reach of the corrections; with fewer the constants are wrong.
 const LEAST_OF_BEAM: f64 = 0.7;
 /// Minimum share of the points that the scanner must explain.
@@ -180,10 +178,10 @@ impl NullaryFnOnce for Phasors<'_> {
     #[inline(always)]
     fn call(self) -> [f64; 2] {
         let by_period = 1.0 / self.period;
-        let (mut re, mut im) = ([0.0; LANES], [0.0; LANES]);
-        let (blocks, rest) = self.values.as_chunks::<LANES>();
+        let (mut re, mut im) = ([0.0; AT_ONCE], [0.0; AT_ONCE]);
+        let (blocks, rest) = self.values.as_chunks::<AT_ONCE>();
         for block in blocks {
-            let turns: [f64; LANES] = lanes(|i| block[i] * by_period);
+            let turns: [f64; AT_ONCE] = lanes(|i| block[i] * by_period);
             re = lanes(|i| re[i] + rough_sine(turns[i] + 0.25));
             im = lanes(|i| im[i] + rough_sine(turns[i]));
         }
@@ -330,10 +328,10 @@ impl WithSimd for Equations<'_> {
         let mut sums = Sums::default();
         let (blocks, rest) = self.points.as_chunks();
         for block in blocks {
-            self.add(simd, block, LANES, &mut sums);
+            self.add(simd, block, AT_ONCE, &mut sums);
         }
         if let Some(last) = rest.last() {
-            let mut block = [*last; LANES];
+            let mut block = [*last; AT_ONCE];
             block[..rest.len()].copy_from_slice(rest);
             self.add(simd, &block, rest.len(), &mut sums);
         }
@@ -355,23 +353,23 @@ impl WithSimd for Equations<'_> {
 /// by lane.
 #[derive(Default)]
 struct Sums {
-    x_and_y: [[f64; LANES]; OF_X_AND_Y.len()],
-    z: [[f64; LANES]; OF_Z.len()],
-    right: [[f64; LANES]; 5],
+    x_and_y: [[f64; AT_ONCE]; OF_X_AND_Y.len()],
+    z: [[f64; AT_ONCE]; OF_Z.len()],
+    right: [[f64; AT_ONCE]; 5],
 }
 
 impl Equations<'_> {
     /// Adds the equations of the first `count` of some points.
     #[inline(always)]
-    fn add<S: Simd>(&self, simd: S, points: &[Point; LANES], count: usize, sums: &mut Sums) {
+    fn add<S: Simd>(&self, simd: S, points: &[Point; AT_ONCE], count: usize, sums: &mut Sums) {
         let sites = self.formula.at(points);
         let largest = sites.largest_misses();
         let [x_by, y_by, z_by] = self.formula.slopes(&sites);
         // 0 where a coordinate does not count.
-        let beyond = |axis: usize| -> [[f64; LANES]; 2] {
+        let beyond = |axis: usize| -> [[f64; AT_ONCE]; 2] {
             let miss = &sites.miss[axis];
-            let beyond: [f64; LANES] = lanes(|i| miss[i] - miss[i].max(-self.slack).min(self.slack));
-            let counts: [bool; LANES] =
+            let beyond: [f64; AT_ONCE] = lanes(|i| miss[i] - miss[i].max(-self.slack).min(self.slack));
+            let counts: [bool; AT_ONCE] =
                 lanes(|i| (i < count) & (largest[i] < self.reach) & (beyond[i] != 0.0));
             [lanes(|i| if counts[i] { 1.0 } else { 0.0 }), lanes(|i| if counts[i] { beyond[i] } else { 0.0 })]
         };
@@ -394,10 +392,10 @@ impl Equations<'_> {
 #[inline(always)]
 fn add_products<S: Simd, const FACTORS: usize, const PRODUCTS: usize>(
     simd: S,
-    sum: &mut [f64; LANES],
-    products: [[&[f64; LANES]; FACTORS]; PRODUCTS],
+    sum: &mut [f64; AT_ONCE],
+    products: [[&[f64; AT_ONCE]; FACTORS]; PRODUCTS],
 ) {
-    const { assert!(LANES.is_multiple_of(S::F64_LANES)) };
+    const { assert!(AT_ONCE.is_multiple_of(S::F64_LANES)) };
     let (sums, _) = S::as_mut_simd_f64s(sum);
     for (part, sum) in sums.iter_mut().enumerate() {
         for factors in products {
@@ -515,8 +513,8 @@ impl NullaryFnOnce for LargestMisses<'_> {
     #[inline(always)]
     fn call(self) -> Vec<f64> {
         let mut misses = vec![0.0; self.points.len()];
-        let (blocks, rest) = self.points.as_chunks::<LANES>();
-        let (of_blocks, of_rest) = misses.as_chunks_mut::<LANES>();
+        let (blocks, rest) = self.points.as_chunks::<AT_ONCE>();
+        let (of_blocks, of_rest) = misses.as_chunks_mut::<AT_ONCE>();
         for (block, misses) in blocks.iter().zip(of_blocks) {
             *misses = self.formula.at(block).largest_misses();
         }
@@ -546,7 +544,7 @@ mod tests {
         let formula = FitFormula::new(&[-0.1, 0.02, -0.05, 0.026, 0.3]);
         let mut random = Rng::keyed(1, &[]);
         let mut metres = || f64::from(random.below(40_000) as u32) * 1e-3 - 20.0;
-        let points: Vec<Point> = (0..2 * LANES + 3)
+        let points: Vec<Point> = (0..2 * AT_ONCE + 3)
             .map(|_| {
                 let position @ [x, y, _] = [metres(), metres(), metres()];
                 Point { position, rho: libm::hypot(x, y), azimuth: libm::atan2(y, x).rem_euclid(TAU) }

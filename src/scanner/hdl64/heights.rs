@@ -4,9 +4,8 @@ use pulp::NullaryFnOnce;
 
 use super::single_precision::SingleBeam;
 use crate::ground::lanes::{dispatch, lanes};
+use crate::scanner::AT_ONCE;
 
-/// Number of points computed at a time.
-const LANES: usize = 8;
 /// The step, in metres, of the first search, and the number of steps on each side of the mean.
 const STEP: f64 = 2.5e-10;
 const REACH: f64 = 800.0;
@@ -97,9 +96,9 @@ impl NullaryFnOnce for Counting<'_> {
         for (height, (metres, z)) in remaining.iter_mut().zip(metres.iter().zip(z)) {
             *height = z - f64::from(beam.distance(*metres) * beam.sine);
         }
-        let (blocks, rest) = remaining.as_chunks::<LANES>();
-        let (of_blocks, of_rest) = tolerances.as_chunks::<LANES>();
-        let mut sums = [0.0; LANES];
+        let (blocks, rest) = remaining.as_chunks::<AT_ONCE>();
+        let (of_blocks, of_rest) = tolerances.as_chunks::<AT_ONCE>();
+        let mut sums = [0.0; AT_ONCE];
         for block in blocks {
             sums = lanes(|i| sums[i] + block[i]);
         }
@@ -109,9 +108,9 @@ impl NullaryFnOnce for Counting<'_> {
         // For each height, the number of points that become exact minus the number that cease to be.
         let mut changes = [0i32; 2 * REACH as usize + 2];
         for (heights, tolerances) in blocks.iter().zip(of_blocks) {
-            let low: [i32; LANES] = lanes(|i| place(heights[i] - tolerances[i]));
-            let high: [i32; LANES] = lanes(|i| place(heights[i] + tolerances[i]));
-            for lane in 0..LANES {
+            let low: [i32; AT_ONCE] = lanes(|i| place(heights[i] - tolerances[i]));
+            let high: [i32; AT_ONCE] = lanes(|i| place(heights[i] + tolerances[i]));
+            for lane in 0..AT_ONCE {
                 changes[low[lane] as usize] += 1;
                 changes[high[lane] as usize] -= 1;
             }

@@ -26,7 +26,9 @@ use crate::ground::floats::round_ties_even;
 use crate::ground::lanes::lanes;
 use crate::ground::lazy_table::LazyTable;
 use crate::ground::varint::{read_signed, read_unsigned, read_within, write_signed, write_unsigned};
-use crate::scanner::{CoordinateGrid, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_STEPS, MOST_TICKS, Return};
+use crate::scanner::{
+    AT_ONCE, CoordinateGrid, FLOAT_RANGES, MOST_RANGE_STEP_UM, MOST_ROWS, MOST_STEPS, MOST_TICKS, Return,
+};
 
 /// The unit of quantised angles, in radians.
 const ANGLE_UNIT: f64 = 1.0 / (1u64 << 32) as f64;
@@ -34,8 +36,6 @@ const ANGLE_UNIT: f64 = 1.0 / (1u64 << 32) as f64;
 const LENGTH_UNIT: f64 = 1.0 / (1u64 << 24) as f64;
 /// The limit of quantised constants: 4 rad, or 1 km.
 const LARGEST_CONSTANT: u64 = 1 << 34;
-/// A bound above the number of beams of any scanner.
-const MOST_BEAMS: u64 = 1024;
 /// The codes of the arithmetic: whole millimetres, and float32 coordinates computed in double and in single
 /// precision.
 const MILLIMETRE: u64 = 0;
@@ -325,10 +325,8 @@ impl Hdl64 {
     /// phi of the formula, in radians from 0 to 2 pi, for returns of one row in the order of the file.
     #[inline(always)]
     pub fn fill_azimuths(&self, row: usize, returns: &[Return], azimuths: &mut [f64]) {
-        /// Number of points computed at a time.
-        const LANES: usize = 8;
-        let (blocks, rest) = returns.as_chunks::<LANES>();
-        let (of_blocks, of_rest) = azimuths.as_chunks_mut::<LANES>();
+        let (blocks, rest) = returns.as_chunks::<AT_ONCE>();
+        let (of_blocks, of_rest) = azimuths.as_chunks_mut::<AT_ONCE>();
         for (block, azimuths) in blocks.iter().zip(of_blocks) {
             *azimuths = self.azimuths(row, block);
         }
@@ -413,16 +411,14 @@ impl Hdl64 {
         stored: impl Fn(f64) -> f32,
         positions: &mut [[f32; 3]],
     ) {
-        /// Number of points computed at a time.
-        const LANES: usize = 8;
-        let (blocks, rest) = returns.as_chunks::<LANES>();
-        let (of_blocks, of_rest) = positions.as_chunks_mut::<LANES>();
+        let (blocks, rest) = returns.as_chunks::<AT_ONCE>();
+        let (of_blocks, of_rest) = positions.as_chunks_mut::<AT_ONCE>();
         let single = self.single.get(row);
         for (block, positions) in blocks.iter().zip(of_blocks) {
-            let ticks: [u32; LANES] = lanes(|i| block[i].tick);
-            let near: [f64; LANES] = self.metres_of(lanes(|i| block[i].steps));
-            let metres: [f64; LANES] = lanes(|i| near[i] + offset_m);
-            let [x, y, z]: [[f64; LANES]; 3] = match single {
+            let ticks: [u32; AT_ONCE] = lanes(|i| block[i].tick);
+            let near: [f64; AT_ONCE] = self.metres_of(lanes(|i| block[i].steps));
+            let metres: [f64; AT_ONCE] = lanes(|i| near[i] + offset_m);
+            let [x, y, z]: [[f64; AT_ONCE]; 3] = match single {
                 Some(single) => {
                     let [x, y, z] = single.positions(ticks, metres);
                     [lanes(|i| x[i].into()), lanes(|i| y[i].into()), lanes(|i| z[i].into())]
@@ -511,7 +507,7 @@ impl Hdl64 {
         let ticks = read_within(bytes, "scanner model: ticks a turn", 1..=MOST_TICKS)? as u32;
         let range_step_um =
             read_within(bytes, "scanner model: range step in micrometres", 0..=MOST_RANGE_STEP_UM)? as u32;
-        let rows = read_within(bytes, "scanner model: beams", 1..=MOST_BEAMS)? as u32;
+        let rows = read_within(bytes, "scanner model: beams", 1..=MOST_ROWS)? as u32;
         let mut constants = Vec::new();
         for _ in 0..rows {
             let mut beam = BeamConstants::default();

@@ -14,7 +14,7 @@ use crate::ground::grid::Grid;
 use crate::ground::lanes::{dispatch, lanes};
 use crate::ground::lazy_table::BLOCK;
 use crate::scan::{PointCloud, squared_distance};
-use crate::scanner::{EXACT_RANGE_BITS, FLOAT_RANGES, Projection, RangeImage};
+use crate::scanner::{FLOAT_RANGES, LEAST_RANGE_BITS, Projection, RangeImage};
 
 impl Hdl64 {
     /// The deviations of an image's points from the formula, in metres, row after row.
@@ -34,7 +34,7 @@ impl Hdl64 {
 }
 
 /// The longest range in a lossless image, in steps; farther points are strays.
-const LONGEST: u32 = (1 << EXACT_RANGE_BITS) - 1;
+const LONGEST: u32 = (1 << LEAST_RANGE_BITS) - 1;
 
 /// If there are many beams, a column with fewer points costs more than the points do as strays.
 const FEWEST_IN_COLUMN: u32 = 3;

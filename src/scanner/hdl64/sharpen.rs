@@ -17,11 +17,10 @@ use super::beams::Point;
 use super::heights::Heights;
 use super::single_precision::{Refinement, SingleBeam};
 use crate::ground::angle;
+use crate::ground::floats::square;
 use crate::ground::lanes::{dispatch, lanes};
-use crate::scanner::thinned;
+use crate::scanner::{AT_ONCE, thinned};
 
-/// Number of points computed at a time.
-const LANES: usize = 8;
 /// Number of a beam's points that are used.
 const SAMPLE: usize = 1500;
 /// Minimum number of points for a conclusion.
@@ -225,8 +224,8 @@ impl NullaryFnOnce for Giving<'_> {
     fn call(self) -> Vec<[f32; 2]> {
         let Giving { beam, sites } = self;
         let mut limits = vec![[0.0; 2]; sites.len()];
-        let (blocks, rest) = sites.as_chunks::<LANES>();
-        let (of_blocks, of_rest) = limits.as_chunks_mut::<LANES>();
+        let (blocks, rest) = sites.as_chunks::<AT_ONCE>();
+        let (of_blocks, of_rest) = limits.as_chunks_mut::<AT_ONCE>();
         for (sites, limits) in blocks.iter().zip(of_blocks) {
             *limits = giving(beam, sites);
         }
@@ -280,7 +279,7 @@ impl NullaryFnOnce for Sides<'_> {
     }
 }
 
-/// The arguments of [`Azimuths::given`], for a function compiled for several vector units.
+/// The arguments of [`Azimuths::reproduced`], for a function compiled for several vector units.
 struct Reproduced<'a> {
     beam: &'a SingleBeam,
     azimuths: &'a Azimuths,
@@ -363,7 +362,7 @@ fn align_sideways(beam: &mut SingleBeam, azimuths: &Azimuths) {
 
 /// The weight of an azimuth (in degrees, above 0): rounding errors grow with the octave.
 fn weight(degrees: f64) -> f64 {
-    (degrees.max(SHARP.start)).powi(-2)
+    1.0 / square(degrees.max(SHARP.start))
 }
 
 /// Sums for the fit of a line by least squares.

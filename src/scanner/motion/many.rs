@@ -7,10 +7,7 @@ use pulp::NullaryFnOnce;
 use super::turn::Mover;
 use crate::ground::angle;
 use crate::ground::lanes::{dispatch, lanes};
-use crate::scanner::nearest_millimetre;
-
-/// Number of points computed at a time.
-const LANES: usize = 8;
+use crate::scanner::{AT_ONCE, nearest_millimetre};
 
 /// A point of the file, in metres, and the part of the turn at which it was seen, as accurately as known.
 #[derive(Clone, Copy, Debug, Default)]
@@ -76,8 +73,8 @@ impl NullaryFnOnce for Undone<'_> {
     fn call(self) -> Vec<[f64; 3]> {
         let Undone { mover, seen } = self;
         let mut points = vec![[0.0; 3]; seen.len()];
-        let (blocks, rest) = seen.as_chunks_mut::<LANES>();
-        let (of_blocks, of_rest) = points.as_chunks_mut::<LANES>();
+        let (blocks, rest) = seen.as_chunks_mut::<AT_ONCE>();
+        let (of_blocks, of_rest) = points.as_chunks_mut::<AT_ONCE>();
         for (seen, points) in blocks.iter_mut().zip(of_blocks) {
             undo_block(mover, seen, points);
         }
@@ -111,10 +108,10 @@ impl<T, F: Fn(&T) -> [f64; 3]> NullaryFnOnce for Moved<'_, T, F> {
     fn call(self) -> Vec<[f64; 3]> {
         let Moved { mover, items, point } = self;
         let mut points = vec![[0.0; 3]; items.len()];
-        let (blocks, rest) = items.as_chunks::<LANES>();
-        let (of_blocks, of_rest) = points.as_chunks_mut::<LANES>();
+        let (blocks, rest) = items.as_chunks::<AT_ONCE>();
+        let (of_blocks, of_rest) = points.as_chunks_mut::<AT_ONCE>();
         for (items, points) in blocks.iter().zip(of_blocks) {
-            let [x, y, z] = mover.nearly_moved::<LANES>(&by_axis(|i| point(&items[i])));
+            let [x, y, z] = mover.nearly_moved::<AT_ONCE>(&by_axis(|i| point(&items[i])));
             *points = lanes(|i| [x[i], y[i], z[i]]);
         }
         for (item, to) in rest.iter().zip(of_rest) {
@@ -140,17 +137,17 @@ impl NullaryFnOnce for NearBorder<'_> {
     fn call(self) -> Vec<usize> {
         let NearBorder { mover, points, positions, reach, border } = self;
         let mut found = Vec::new();
-        let (blocks, rest) = points.as_chunks::<LANES>();
-        let (of_blocks, of_rest) = positions.as_chunks::<LANES>();
+        let (blocks, rest) = points.as_chunks::<AT_ONCE>();
+        let (of_blocks, of_rest) = positions.as_chunks::<AT_ONCE>();
         for (number, (points, positions)) in blocks.iter().zip(of_blocks).enumerate() {
             let near = are_near_border(mover, points, positions, [reach, border]);
             for (lane, _) in near.iter().enumerate().filter(|(_, is_near)| **is_near) {
-                found.push(number * LANES + lane);
+                found.push(number * AT_ONCE + lane);
             }
         }
         for (number, (point, position)) in rest.iter().zip(of_rest).enumerate() {
             if are_near_border(mover, &[*point], &[*position], [reach, border]) == [true] {
-                found.push(blocks.len() * LANES + number);
+                found.push(blocks.len() * AT_ONCE + number);
             }
         }
         found
@@ -199,8 +196,8 @@ impl NullaryFnOnce for Measured<'_> {
     fn call(self) -> Vec<[f32; 3]> {
         let Measured { mover, positions } = self;
         let mut points = vec![[0.0; 3]; positions.len()];
-        let (blocks, rest) = positions.as_chunks::<LANES>();
-        let (of_blocks, of_rest) = points.as_chunks_mut::<LANES>();
+        let (blocks, rest) = positions.as_chunks::<AT_ONCE>();
+        let (of_blocks, of_rest) = points.as_chunks_mut::<AT_ONCE>();
         for (positions, points) in blocks.iter().zip(of_blocks) {
             *points = measured_block(mover, positions);
         }

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use super::numbers::{COARSE, FEW, Pair, last_bits, least_squares, missed, unit_at};
 use super::pose::{self, Pose};
 use super::{Mounting, TransformOrder};
-use crate::ground::floats::round_ties_even;
+use crate::ground::floats::{round_ties_even, square};
 use crate::scan::{PointCloud, ScanFile, fullest};
 use crate::scanner::firings::arithmetic::whole_steps;
 use crate::scanner::firings::blur::Blur;
@@ -267,7 +267,7 @@ impl Seen {
                 let outward = (miss[0] * x + miss[1] * y) / flat.sqrt();
                 let up = (miss[2] * flat.sqrt() - z * outward) / range;
                 let clockwise = (miss[0] * y - miss[1] * x) / flat;
-                let weight = range / position.map(|v| unit_at(v).powi(2)).iter().sum::<f64>();
+                let weight = range / position.map(|v| square(unit_at(v))).iter().sum::<f64>();
                 let sum = &mut sums[found.row as usize];
                 *sum = [sum[0] + weight, sum[1] + weight * up, sum[2] + weight * clockwise];
             }

@@ -5,7 +5,7 @@ use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
 use super::{Mounting, TransformOrder};
-use crate::ground::floats::round_ties_even;
+use crate::ground::floats::{round_ties_even, square};
 use crate::scanner::thinned;
 
 /// A position in the frame of the scanner, not rounded, and in the file.
@@ -63,7 +63,7 @@ pub(super) fn least_squares(pairs: &[Pair], start: &Mounting, rounds: &Rounds) -
                 let miss = f64::from(position[axis]) - (row[0] * x + row[1] * y + row[2] * z + row[3]);
                 if miss.abs() < FARTHEST.min(most * unit) {
                     let slopes = SVector::from([x, y, z, 1.0]);
-                    let weight = (unit / least).powi(-2);
+                    let weight = 1.0 / square(unit / least);
                     system += slopes * slopes.transpose() * weight;
                     right += slopes * (miss * weight);
                 }

@@ -11,6 +11,7 @@ use std::f64::consts::TAU;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 use super::{Moment, Stamped, parts};
+use crate::ground::floats::square;
 use crate::scan::{Channel, PointCloud, ScanFile};
 use crate::scanner::firings::{self, Firings, Moved, MovedBy, Sight, fit_moved};
 use crate::scanner::motion::cones::Cones;
@@ -65,9 +66,17 @@ pub fn undo(cloud: &PointCloud, scanner: &Firings) -> Option<(Vec<[f32; 3]>, Sta
 pub fn fit(sample: &[ScanFile], near: Option<&Firings>) -> Option<Firings> {
     /// Number of scans that are tried.
     const MOST: usize = 3;
-    let has_times = |scan: &&ScanFile| candidates(&scan.cloud.channels).next().is_some();
-    let found = sample.iter().filter(has_times).take(MOST).find_map(|scan| fit_scan(scan, near));
-    found.or_else(|| fit_half(sample.iter().find(has_times)?, near?))
+    let may_be_moved =
+        |scan: &&ScanFile| candidates(&scan.cloud.channels).next().is_some() && !is_rounded(&scan.cloud);
+    let found = sample.iter().filter(may_be_moved).take(MOST).find_map(|scan| fit_scan(scan, near));
+    found.or_else(|| fit_half(sample.iter().find(may_be_moved)?, near?))
+}
+
+/// Whether coordinates were rounded, which hides whether points were moved: also if the scanner near to them
+/// is one of unrounded coordinates, because it reproduces too few.
+fn is_rounded(cloud: &PointCloud) -> bool {
+    let values: Vec<f32> = thinned(&cloud.positions, SAMPLE).flatten().copied().collect();
+    CoordinateGrid::finest_of(&values) != CoordinateGrid::Float32
 }
 
 /// As [`fit_scan`], from the half of a scan that was moved the least: constants that fit the whole scan, as far
@@ -334,7 +343,7 @@ fn step(pairs: &[Pair], rows: usize, motion: &Motion, even: f64) -> Option<Motio
             if !(miss.abs() < FARTHEST && rho > 0.0) {
                 continue;
             }
-            let weight = pair.rounding[axis].max(even).max(miss.abs()).powi(-2);
+            let weight = 1.0 / square(pair.rounding[axis].max(even).max(miss.abs()));
             let slope = slopes[axis].map(|slope| slope * pair.part);
             for (row, sums) in upper.iter_mut().enumerate() {
                 let weighted = slope[row] * weight;
