@@ -3,6 +3,8 @@
 Each folder with scans below the input is a drive, and becomes a file of that name below the output. Input and output are
 paths, or URLs that fsspec knows. What is complete has its name; a task that is done again, because its worker was lost,
 comes to the same bytes, or finds them. A drive that fails is reported, and the others are encoded all the same.
+
+Only scans are read, not the files beside them: times are those in the scans' names, not those of a ``timestamps.txt``.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from __future__ import annotations
 import argparse
 import os
 import posixpath
+import re
 import sys
 import tempfile
 import uuid
@@ -32,7 +35,13 @@ SCANS = (".bin", ".pcd", ".ply", ".las", ".xyz")
 ARGOVERSE = "/sensors/lidar"
 
 #: Folders within a drive that hold its scans, and are not part of its name.
-INSIDE = ("/velodyne_points/data", "/velodyne", ARGOVERSE)
+INSIDE = ("/velodyne_points/data", "/velodyne", ARGOVERSE, "/data")
+
+
+def _natural(path: str) -> list[tuple[int, int, str]]:
+    """What sorts names as ``lidarpc encode`` does: ``2.bin`` before ``10.bin``."""
+    parts = re.split("([0-9]+)", path)
+    return [(0, int(part), part) if part.isdecimal() else (1, 0, part) for part in parts if part]
 
 
 def _filesystem(url: str):
@@ -58,7 +67,7 @@ class Drive:
 
     #: Where it is below the input, without the folders in which every drive of KITTI keeps its scans.
     name: str
-    #: Paths of the scans on the input's file system, sorted by name.
+    #: Paths of the scans on the input's file system, in natural order of their names.
     scans: tuple[str, ...]
 
 
@@ -69,7 +78,8 @@ def find_drives(source: str) -> list[Drive]:
     for folder, _, files in filesystem.walk(root):
         folder = folder.rstrip("/")
         known = (*SCANS, ".feather") if folder.endswith(ARGOVERSE) else SCANS
-        scans = sorted(f"{folder}/{name}" for name in files if name.endswith(known) and not name.startswith("."))
+        names = [name for name in files if name.lower().endswith(known) and not name.startswith(".")]
+        scans = [f"{folder}/{name}" for name in sorted(names, key=_natural)]
         if scans:
             name = folder[len(root) :].strip("/")
             inside = next((inside for inside in INSIDE if f"/{name}".endswith(inside)), "")

@@ -86,6 +86,17 @@ def test_parts_are_joined_as_by_cat(folder, tmp_path):
     assert made["2011/drive_07.lpc"] == whole.read_bytes() and len(made) == DRIVES
 
 
+def test_scans_are_in_natural_order(folder, tmp_path):
+    inside = tmp_path / "in/drive/data"
+    inside.mkdir(parents=True)
+    scan = next((folder / "2011/drive_00").rglob("*.bin")).read_bytes()
+    for number in range(12):
+        (inside / f"{number}.BIN").write_bytes(scan)
+    subprocess.run(command(tmp_path / "in", tmp_path / "out", "--split=5"), check=True)
+    with lidarpc.open(tmp_path / "out/drive.lpc") as drive:
+        assert [frame.name for frame in drive] == [f"{number}.BIN" for number in range(12)]
+
+
 def test_a_drive_that_fails_is_told_and_not_half_written(folder, tmp_path):
     names = ["good", "bad"]
     for name in names:

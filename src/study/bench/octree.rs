@@ -6,7 +6,6 @@
 //! tree, R. Mekuria et al. for the arithmetic coding of its bytes), then the number of points in each voxel.
 //! Only positions are kept, and not their order. A point decodes to the centre of its voxel; centres are
 //! multiples of the voxels' side, so that coordinates on that grid are preserved.
-//! file whose coordinates are on that grid keeps them.
 
 use super::sample::is_return;
 use crate::entropy::{AdaptiveBit, ArithmeticDecoder, ArithmeticEncoder, BitCoder, IntegerModel};
