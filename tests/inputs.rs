@@ -6,7 +6,7 @@
 use std::fs;
 use std::process::{Command as Process, Stdio};
 
-use crate::common::in_package;
+use crate::common::{in_package, put_together, take_apart};
 use crate::program::{Bench, Files, odd_files, scan};
 use assert_cmd::cargo::cargo_bin;
 use lidarpc::internals::files::{parse, with_point_count};
@@ -638,24 +638,43 @@ fn scans_that_claim_or_unfold_to_much_come_back_in_bounded_memory() {
 #[cfg(target_os = "linux")]
 const MEBIBYTES: u64 = 1200;
 
+/// The scans are together much larger than the step in which memory is tried, and than what all threads need at
+/// a time, so a program that keeps them needs more.
 #[test]
 #[cfg(target_os = "linux")]
 fn to_verify_takes_no_more_memory_than_to_decode() {
+    const SCANS: usize = 150;
+    const STEP: u64 = 16;
     let bench = Bench::new();
-    bench.ok("synth -o seq --scanner vlp16 --frames 8");
-    bench.ok("encode seq -o out.lpc --level 9 --gop 1");
-    for threads in [1, 2, 16] {
-        let succeeds = |mebibytes, command: &str| {
-            let run = bench.within_memory(mebibytes, &format!("{command} --quiet --threads {threads}"));
-            run.get_output().status.success()
+    bench.ok("synth -o seq --scanner vlp16 --frames 1");
+    bench.ok("encode seq -o one.lpc --level 1");
+    let (scanners, groups) = take_apart(&bench.read("one.lpc"));
+    let named = |number: usize| {
+        let mut group = groups[0].clone();
+        group.frames[0].header.name = format!("{number}.bin");
+        group
+    };
+    let stream = put_together(&scanners, &(0..SCANS).map(named).collect::<Vec<_>>());
+    fs::write(bench.path("out.lpc"), stream).unwrap();
+    let mebibytes = groups[0].frames[0].header.file_size * SCANS as u64 >> 20;
+    assert!(mebibytes >= 3 * STEP, "{mebibytes} MiB of scans");
+
+    for threads in [1, 16] {
+        let suffice = |steps: u64, command: &str| {
+            let command = format!("{command} --quiet --threads {threads}");
+            bench.within_memory(steps * STEP, &command).get_output().status.success()
         };
-        // Whether threads need their memory at the same moment is chance: what suffices to decode does five
-        // times.
-        let mebibytes = (32..MEBIBYTES)
-            .step_by(32)
-            .find(|&most| (0..5).all(|_| succeeds(most, "decode out.lpc -o back --force")));
-        let is_enough = (0..5).any(|_| succeeds(mebibytes.unwrap(), "verify out.lpc"));
-        assert!(is_enough, "{threads} threads, {mebibytes:?} MiB");
+        let (mut too_few, mut enough) = (0, MEBIBYTES / STEP);
+        while enough - too_few > 1 {
+            let half = (too_few + enough) / 2;
+            match suffice(half, "decode out.lpc -o back --force") {
+                true => enough = half,
+                false => too_few = half,
+            }
+        }
+        // Whether threads need their memory at the same moment is chance, of which one step is left to it.
+        let is_enough = (0..5).any(|_| suffice(enough + 1, "verify out.lpc"));
+        assert!(is_enough, "{threads} threads, {} MiB to decode", enough * STEP);
     }
 }
 
