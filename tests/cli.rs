@@ -10,8 +10,9 @@ use std::time::{Duration, Instant};
 
 use crate::common::scans::{scans, small};
 use crate::common::{put_together, skip, take_apart};
-use crate::program::{Bench, Files, failure, odd_files, scan};
+use crate::program::{Bench, Files, failure, noise, odd_files, scan};
 use assert_cmd::cargo::cargo_bin;
+use lidarpc::internals::study::synth::{SynthConfig, drive};
 use serde_json::Value;
 
 #[test]
@@ -372,34 +373,53 @@ fn a_newer_stream_is_named_as_such() {
     assert!(error.contains("version 9") && error.contains("newer lidarpc"), "{error}");
 }
 
+/// The decoder trusts no name, be it of a scan or of a file beside the scans.
 #[test]
 fn names_in_a_stream_cannot_leave_the_folder() {
-    use lidarpc::internals::container::{CodedFrame, FrameHeader, Group, StreamWriter};
+    use FrameKind::{Beside, File};
+    use lidarpc::internals::container::{FrameKind, Group};
     let bench = Bench::encoded();
-    // An empty file is the same under any name.
-    bench.ok("encode seq/empty.bin -o empty.lpc");
-    let group = first_group(&fs::read(bench.path("empty.lpc")).unwrap());
-    let write = |names: &[&str]| {
-        let mut writer = StreamWriter::create(Vec::new()).unwrap();
-        for name in names {
-            let CodedFrame { header, sections } = group.frames[0].clone();
-            let header = FrameHeader { name: name.to_string(), ..header };
-            // One group each, so that no frame depends on another.
-            let frames = vec![CodedFrame { header, sections }];
-            writer.write_group(&Group { scanners: vec![None], frames }).unwrap();
-        }
-        fs::write(bench.path("evil.lpc"), writer.finish().unwrap().0).unwrap();
+    // Three points, which are the same under any name.
+    bench.ok("encode seq/2.bin -o three.lpc");
+    let (_, groups) = take_apart(&bench.read("three.lpc"));
+    let group = |&(name, kind): &(&str, FrameKind)| {
+        let mut frame = groups[0].frames[0].clone();
+        frame.header.name = name.to_owned();
+        frame.header.stamp.kind = kind;
+        // One group each, so that no frame depends on another.
+        Group { scanners: vec![None], frames: vec![frame] }
+    };
+    let write = |frames: &[(&str, FrameKind)]| {
+        let groups: Vec<_> = frames.iter().map(group).collect();
+        fs::write(bench.path("evil.lpc"), put_together(&[], &groups)).unwrap();
     };
     fs::create_dir_all(bench.path("in/back")).unwrap();
-    for name in ["../evil.bin", "/tmp/evil.bin", "..", "", "a/../b.bin", "a\\b.bin"] {
-        write(&["fine.bin", name]);
-        bench.fails("decode evil.lpc -o in/back --force", "in/back");
+    let names = [
+        "../evil.bin",
+        "/tmp/evil.bin",
+        "..",
+        "",
+        "a/../b.bin",
+        "a/../../b.bin",
+        "a//b.bin",
+        "./a.bin",
+        "a\\b.bin",
+        "a\\..\\b.bin",
+        "a/",
+        "NUL/a.bin",
+    ];
+    // With a slash at its end, the name of what is beside the scans is that of an empty folder.
+    let kinds = |name| if name == "a/" { &[File][..] } else { &[File, Beside] };
+    for (name, kind) in names.into_iter().flat_map(|name| kinds(name).iter().map(move |kind| (name, *kind))) {
+        write(&[("fine.bin", File), (name, kind)]);
+        let error = bench.fails("decode evil.lpc -o in/back --force", "in/back");
+        assert!(name.is_empty() || error.contains("safely"), "{name:?}: {error}");
         assert_eq!(
             (bench.names("in/back"), bench.names("in")),
             (vec![], vec!["back".to_owned()]),
             "{name:?}"
         );
-        if !name.is_empty() {
+        if !["", "a/"].contains(&name) {
             let error = bench.fails("verify evil.lpc", "evil.lpc");
             assert!(error.contains("frame 1 has the name"), "{error}");
             bench.command("decode evil.lpc -o in/kept --keep-going").assert().code(3);
@@ -407,24 +427,12 @@ fn names_in_a_stream_cannot_leave_the_folder() {
             fs::remove_dir_all(bench.path("in/kept")).unwrap();
         }
     }
-    write(&["twice.bin", "twice.bin"]);
+    write(&[("twice.bin", File), ("twice.bin", File)]);
     bench.fails("decode evil.lpc -o in/back --force", "in/back");
     bench.fails("verify evil.lpc", "evil.lpc");
-    write(&["fine.bin", "also fine.bin"]);
+    write(&[("fine.bin", File), ("also fine.bin", File)]);
     bench.ok("decode evil.lpc -o in/back");
     assert_eq!(bench.names("in/back"), ["also fine.bin", "fine.bin"]);
-}
-
-/// The first group of a stream.
-fn first_group(stream: &[u8]) -> lidarpc::internals::container::Group {
-    use lidarpc::internals::container::{Record, StreamReader};
-    let mut reader =
-        StreamReader::open(stream, lidarpc::internals::ground::error::Limits::default()).unwrap();
-    loop {
-        if let Record::Group(group) = reader.next_record().unwrap().unwrap() {
-            return group;
-        }
-    }
 }
 
 #[test]
@@ -458,18 +466,6 @@ fn a_full_disk_leaves_nothing_behind() {
         failure(&mut bench.on_full_disk(args), path);
         assert_eq!(bench.names("."), ["big", "big.lpc", "out.lpc", "seq"]);
     }
-}
-
-/// Bytes that cannot be compressed.
-fn noise(count: usize, seed: u64) -> Vec<u8> {
-    let mut state = seed;
-    let next = || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        state as u8
-    };
-    std::iter::repeat_with(next).take(count).collect()
 }
 
 /// A folder with ten scans in `seq/`, and `whole.lpc` encoded from them with two frames a group. As on a full
@@ -1244,6 +1240,14 @@ fn steps_add_up_to_the_sections() {
     assert!(text.contains("contour map") && text.contains("clustering"), "{text}");
 }
 
+/// As [`driven`], with every eighth firing only.
+fn thinly_driven() -> Bench {
+    let bench = Bench::new();
+    let frames = drive(&SynthConfig { frames: 2, thinning: 8, ..SynthConfig::default() });
+    bench.write_files("drive", &frames.map(|frame| (frame.name.clone(), frame.to_bin())).collect());
+    bench
+}
+
 /// The section of a report of `bench --json` with this number.
 fn section<'a>(report: &'a Value, number: &str) -> &'a Value {
     let sections = report["sections"].as_array().unwrap();
@@ -1259,7 +1263,7 @@ fn cell(table: &Value, row: &str, column: usize) -> f64 {
 
 #[test]
 fn bench_gives_the_tables_and_figures() {
-    let bench = driven();
+    let bench = thinly_driven();
     let report = bench.json("bench drive --quick --json --columns 300 --step 2cm --html page.html");
     let numbers: Vec<_> =
         report["sections"].as_array().unwrap().iter().map(|s| s["number"].as_str().unwrap()).collect();
@@ -1351,7 +1355,7 @@ fn bench_gives_the_tables_and_figures() {
 
 #[test]
 fn bench_takes_a_single_scan_and_no_folder_without_points() {
-    let bench = driven();
+    let bench = thinly_driven();
     let name = bench.names("drive").remove(0);
     let csv = bench.ok(&format!("bench drive/{name} --quick --csv --columns 200 --step 5cm"));
     let csv = String::from_utf8(csv).unwrap();

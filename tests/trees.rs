@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use crate::program::{Bench, scan};
+use crate::program::{Bench, noise, scan};
 
 /// Everything below a folder: files with their bytes, folders with none.
 fn tree(folder: &Path) -> BTreeMap<String, Option<Vec<u8>>> {
@@ -22,18 +22,6 @@ fn tree(folder: &Path) -> BTreeMap<String, Option<Vec<u8>>> {
         }
     }
     found
-}
-
-/// Bytes that cannot be compressed.
-fn noise(bytes: u32, seed: u32) -> Vec<u8> {
-    let mut state = seed | 1;
-    let mut next = || {
-        state ^= state << 13;
-        state ^= state >> 17;
-        state ^= state << 5;
-        (state >> 24) as u8
-    };
-    (0..bytes).map(|_| next()).collect()
 }
 
 /// Two drives in KITTI's form, with equal names, and the files beside their scans.
@@ -439,54 +427,4 @@ fn a_folder_that_cannot_take_all_files_gets_none() {
             fs::remove_dir_all(bench.path("out")).unwrap();
         }
     }
-}
-
-/// A stream with names that would leave the folder: the decoder trusts nothing.
-#[test]
-fn names_never_leave_the_folder() {
-    use lidarpc::internals::container::{
-        CodedFrame, FrameHeader, FrameKind, Group, Section, SectionKind, Stamp, StreamWriter,
-    };
-
-    let bench = Bench::new();
-    for name in ["../x", "/tmp/x", "a/../../x", "a//b", "./a", "a\\..\\x", "a/", "NUL/a"] {
-        for kind in [FrameKind::File, FrameKind::Beside] {
-            if kind == FrameKind::Beside && name == "a/" {
-                continue;
-            }
-            let mut stream = StreamWriter::create(Vec::new()).unwrap();
-            let stamp = Stamp { kind, ..Stamp::default() };
-            let header = FrameHeader { stamp, ..FrameHeader::of(name, b"x", 0) };
-            // Stored: no layout, no bytes before the records, one byte.
-            let whole = Section { kind: SectionKind::Bytes, payload: vec![0, 0, 0, 1, b'x'] };
-            let parameters = Section { kind: SectionKind::Parameters, payload: parameters_of_bytes() };
-            let frames = vec![CodedFrame { header, sections: vec![parameters, whole] }];
-            stream.write_group(&Group { scanners: vec![None], frames }).unwrap();
-            fs::write(bench.path("evil.lpc"), stream.finish().unwrap().0).unwrap();
-            let error = bench.fails("decode evil.lpc -o out", "out");
-            assert!(error.contains("safely"), "{name}: {error}");
-            assert!(!bench.path("x").exists() && !bench.path("out").exists());
-        }
-    }
-}
-
-/// The parameters of a frame coded as the bytes of its file, as the encoder writes them.
-fn parameters_of_bytes() -> Vec<u8> {
-    use lidarpc::internals::container::{Record, SectionKind, StreamReader};
-    use lidarpc::internals::ground::error::Limits;
-
-    let bench = Bench::new();
-    bench.write_files("seq", &[("1.bin".to_owned(), scan(5, 1))].into());
-    bench.write_files("seq", &[("note".to_owned(), b"x".to_vec())].into());
-    bench.ok("encode seq -o out.lpc --all");
-    let bytes = bench.read("out.lpc");
-    let mut reader = StreamReader::open(&bytes[..], Limits::default()).unwrap();
-    let mut sections = Vec::new();
-    while let Some(record) = reader.next_record().unwrap() {
-        if let Record::Group(group) = record {
-            sections = group.frames.into_iter().flat_map(|frame| frame.sections).collect();
-        }
-    }
-    let found = sections.into_iter().find(|section| section.kind == SectionKind::Parameters);
-    found.map_or_else(Vec::new, |section| section.payload)
 }

@@ -125,6 +125,18 @@ pub fn scan(points: usize, seed: u32) -> Vec<u8> {
     (0..points * 4).flat_map(|n| value(n).to_le_bytes()).collect()
 }
 
+/// Bytes that cannot be compressed.
+pub fn noise(bytes: usize, seed: u32) -> Vec<u8> {
+    let mut state = seed.wrapping_mul(2_654_435_761) | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 17;
+        state ^= state << 5;
+        (state >> 24) as u8
+    };
+    (0..bytes).map(|_| next()).collect()
+}
+
 /// Scans, and other files with the names of scans.
 pub fn odd_files() -> Files {
     let special = [f32::NAN, f32::INFINITY, -0.0, 1e-40, f32::NEG_INFINITY, f32::from_bits(0x7fa0_0001)];
