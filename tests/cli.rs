@@ -293,7 +293,7 @@ fn an_input_that_cannot_be_read_is_named() {
         ("decode seq/1.bin -o back", "seq/1.bin"),
         ("decode seq/empty.bin -o back", "seq/empty.bin"),
         ("decode out.lpc -o seq/1.bin", "seq/1.bin"),
-        ("decode out.lpc -o seq/1.bin/below", "seq/1.bin/below"),
+        ("decode out.lpc -o seq/1.bin/below", "seq/1.bin"),
         ("stats nowhere.lpc", "nowhere.lpc"),
         ("info seq/1.bin", "seq/1.bin"),
         ("verify out.lpc --against void", "void"),

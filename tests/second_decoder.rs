@@ -8,8 +8,8 @@ use std::thread;
 
 use crate::common::skip;
 
-/// The streams of two identical scans of firings of which it decodes both. Of others it decodes the first: for
-/// the second one it does the same again.
+/// The streams of two identical scans of firings of which it decodes both. Of others it decodes the first:
+/// for the second one it does the same again.
 const DECODED_TWICE: [&str; 2] = ["exact-firings-echoes", "exact-firings-off-axis"];
 /// The exit status by which it reports that a stream needs an unsupported feature.
 const NOT_HERE: i32 = 3;

@@ -325,12 +325,13 @@ fn originals_are_deleted_only_when_they_are_safe() {
     }
     assert_eq!(tree(&bench.path("tree")), before);
     // Write-protected files are kept, and only these.
-    let protected = bench.path("tree/a/drive_1/velodyne_points/data/0000000003.bin");
+    let name = "tree/a/drive_1/velodyne_points/data/0000000003.bin";
+    let protected = bench.path(name);
     let mut permissions = fs::metadata(&protected).unwrap().permissions();
     permissions.set_readonly(true);
     fs::set_permissions(&protected, permissions).unwrap();
-    let error = bench.fails("encode tree/a/drive_1 -o again.lpc --rm", "0000000003.bin");
-    assert!(error.contains("write-protected") && error.contains("deleted 11 files"), "{error}");
+    let error = bench.fails("encode tree/a/drive_1 -o again.lpc --rm --quiet", name);
+    assert!(error.contains("write-protected"), "{error}");
     assert_eq!(bench.names("tree/a/drive_1/velodyne_points/data"), ["0000000003.bin"]);
 }
 
@@ -422,7 +423,7 @@ fn a_folder_that_cannot_take_all_files_gets_none() {
                 fs::write(&taken, b"mine").unwrap();
             }
             let before = tree(&bench.path("out"));
-            bench.fails(&format!("decode tree.lpc -o out --threads 1{force}"), "out/b");
+            bench.fails(&format!("decode tree.lpc -o out --threads 1{force}"), &format!("out/{place}"));
             assert_eq!(tree(&bench.path("out")), before, "{place}{force}");
             fs::remove_dir_all(bench.path("out")).unwrap();
         }

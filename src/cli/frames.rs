@@ -46,8 +46,8 @@ impl InputFiles {
         inputs
     }
 
-    /// Deletes the files, and the folders that this leaves empty, up to these inputs, and tells how many files. A
-    /// file that is write-protected, or no longer what was `encoded`, is kept.
+    /// Deletes the files, and the folders that this leaves empty, up to these inputs, and tells how many files.
+    /// A file that is write-protected, or no longer what was `encoded`, is kept.
     ///
     /// # Errors
     /// If a file cannot be read or deleted, or if it was kept.

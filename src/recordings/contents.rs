@@ -184,8 +184,8 @@ pub struct Topic {
     pub fidelity: BTreeMap<String, u64>,
 }
 
-/// Lists the contents of a recording; with limits, every compressed cloud is decoded within them. `on_message`
-/// is called for each message.
+/// Lists the contents of a recording; with limits, every compressed cloud is decoded within them.
+/// `on_message` is called for each message.
 ///
 /// # Errors
 /// If the input is not a recording, or fails.

@@ -16,8 +16,8 @@ pub const MOST_RANGE_STEP_UM: u64 = 1_000_000;
 pub const FLOAT_RANGES: u32 = 0;
 /// The longest range in any range image, in steps.
 pub const MOST_STEPS: u32 = (1 << 24) - 1;
-/// The number of bits of a range, in steps, in a lossless image, unless the scanner's ranges are longer: those
-/// of an HDL-64E are not.
+/// The number of bits of a range, in steps, in a lossless image, unless the scanner's ranges are longer:
+/// those of an HDL-64E are not.
 pub const LEAST_RANGE_BITS: u32 = 16;
 /// The largest error of the formula, in metres along an axis in addition to half a range step, for a point of
 /// a lossless image.

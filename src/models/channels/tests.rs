@@ -195,7 +195,12 @@ fn the_range_in_millimetres_follows_from_the_steps() {
 
 /// A picture of 40 smooth levels with a little noise, as packed colours, row after row from the bottom.
 fn grey_picture() -> (Channel, RecordContext) {
-    let grey = |n: u32| 30 + n % 200 / 5 + n / 200 / 2 % 3 + noise(n) % 2;
+    grey_picture_of(0)
+}
+
+/// The same with other noise.
+fn grey_picture_of(number: u32) -> (Channel, RecordContext) {
+    let grey = |n: u32| 30 + n % 200 / 5 + n / 200 / 2 % 3 + noise(n + number * RECORDS) % 2;
     let context = RecordContext {
         rows: (0..RECORDS).map(|n| 21 - n / 200).collect(),
         columns: (0..RECORDS).map(|n| n % 200 + 1).collect(),
@@ -439,8 +444,8 @@ fn levels_may_all_be_off_the_scale() {
 
 #[test]
 fn only_the_first_columns_are_coded_as_levels() {
-    let (picture, context) = grey_picture();
-    let channels = vec![picture; COLUMNS_WITH_LEVELS + 4];
+    let (_, context) = grey_picture();
+    let channels: Vec<_> = (0..COLUMNS_WITH_LEVELS as u32 + 4).map(|n| grey_picture_of(n).0).collect();
     let code = |mut model: ChannelsModel| {
         let mut encoder = ArithmeticEncoder::default();
         let all = Compressors::default();

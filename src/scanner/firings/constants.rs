@@ -479,9 +479,9 @@ impl Constants<'_> {
         angles(bare.build.recipe, elevation, (points.len(), least), 0.0, of_elevation)
     }
 
-    /// The constants of a laser, given its azimuth offset in degrees and its likeliest elevations, and how many
-    /// of its points they reproduce to the last bit: possibly none if there are fewer than `least`. If that is
-    /// 0, gives up where the offset is clearly wrong.
+    /// The constants of a laser, given its azimuth offset in degrees and its likeliest elevations, and how
+    /// many of its points they reproduce to the last bit: possibly none if there are fewer than `least`. If
+    /// that is 0, gives up where the offset is clearly wrong.
     fn laser_among(
         &self,
         bare: &Firings,
@@ -510,8 +510,8 @@ impl Constants<'_> {
             if exact > best.1 {
                 best = (Laser { elevation, azimuth: azimuths.first().copied().unwrap_or(azimuth) }, exact);
             }
-            // Elevations of the same sine differ little in their cosine, so if the first one reproduces hardly
-            // any point, the offset is wrong.
+            // Elevations of the same sine differ little in their cosine, so if the first one reproduces
+            // hardly any point, the offset is wrong.
             let most_of_wrong = if are_moved { 0 } else { points.len() / FEW };
             if exact == points.len() || (best.1 <= most_of_wrong && least == 0) {
                 break;

@@ -1,5 +1,5 @@
-//! Scanners whose files hold firing after firing: those of Velodyne except the HDL-64E, of Hesai, RoboSense and
-//! LSLiDAR, and Ouster's by columns. FORMAT.md 3.3.
+//! Scanners whose files hold firing after firing: those of Velodyne except the HDL-64E, of Hesai, RoboSense
+//! and LSLiDAR, and Ouster's by columns. FORMAT.md 3.3.
 //!
 //! A firing is one column of the range image: one shot of each laser, in a fixed order (the *slots*), at one
 //! azimuth tick or at ticks that advance from slot to slot. If all beams start in one point, then for a laser
