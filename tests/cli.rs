@@ -419,7 +419,7 @@ fn names_in_a_stream_cannot_leave_the_folder() {
             (vec![], vec!["back".to_owned()]),
             "{name:?}"
         );
-        if !["", "a/"].contains(&name) {
+        if !name.is_empty() {
             let error = bench.fails("verify evil.lpc", "evil.lpc");
             assert!(error.contains("frame 1 has the name"), "{error}");
             bench.command("decode evil.lpc -o in/kept --keep-going").assert().code(3);

@@ -152,9 +152,11 @@ impl FrameNames {
     /// If no file can have it: it is not a [safe path](is_safe_path), or another frame has it.
     pub fn check(&mut self, number: u64, header: &FrameHeader) -> Result<()> {
         let name = &header.name;
+        // The name of an empty folder ends in a slash; no folder has bytes.
+        let folder = name.strip_suffix('/').filter(|_| header.file_size == 0);
         let fault = if !header.names_file() {
             return Ok(());
-        } else if !is_safe_path(name.strip_suffix('/').unwrap_or(name)) {
+        } else if !is_safe_path(folder.unwrap_or(name)) {
             "which is not safe for a file"
         } else if !self.0.insert(name.to_owned()) {
             "which another frame has"
