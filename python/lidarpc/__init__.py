@@ -402,10 +402,10 @@ class Encoder:
     """Writes a stream, frame by frame as they come.
 
     A file at a path has its name only once the stream is complete, and then replaces one of that name; until then,
-    ``.partial`` follows the name (or
-    ``.2.partial`` and so on, if there is such a file). If the ``with`` block ends in an exception, nothing is left;
-    but after KeyboardInterrupt or SystemExit, as when a recording is stopped, a ``.partial`` file is kept if anything was
-    written to it. ``lidarpc repair X.partial -o Y`` makes a stream of its complete groups; a note of the exception says so.
+    ``.partial`` follows the name (or ``.2.partial`` and so on, if there is such a file). If the ``with`` block ends in an
+    exception, nothing is left; but after KeyboardInterrupt or SystemExit, as when a recording is stopped, a ``.partial``
+    file is kept if anything was written to it. ``lidarpc repair X.partial -o Y`` makes a stream of its complete groups; a
+    note of the exception says so.
     Groups are coded by threads of their own. A forked process cannot go on with an encoder.
     """
 

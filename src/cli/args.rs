@@ -356,8 +356,8 @@ const STATS_NOTES: &str = "\
 Ratio is coded size / original size. RMSE and max error are 3-D distances in metres between points
 paired by their order. 'container' is everything except the payloads of sections and the first
 record of each scanner: headers, names, lengths, checksums, repeated records of scanners and the
-index. The sum of all bytes is the file's size. D1 and D2 PSNR are
-10 log10(3 p^2 / MSE) with p = 59.70 m and the MSE of the worse direction, as mpeg-pcc-dmetric computes them.";
+index. The sum of all bytes is the file's size. D1 and D2 PSNR are 10 log10(3 p^2 / MSE) with
+p = 59.70 m and the MSE of the worse direction, as mpeg-pcc-dmetric computes them.";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = STATS_NOTES)]

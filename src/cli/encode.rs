@@ -28,11 +28,12 @@ pub fn run(args: &EncodeArgs, mut config: EncoderConfig, console: Console) -> Re
         return report(args, &config, &done, start, console);
     }
     let found = frames::find(args, console)?;
-    frames::settle(&found.frames, &mut config, &frames::name_of_inputs(&args.inputs), console)?;
+    let place = frames::name_of_inputs(&args.inputs);
+    frames::settle(&found.frames, &mut config, &place, console)?;
     let done = encode_inputs(args, &config, &found, console)?;
     report(args, &config, &done, start, console)?;
     if args.rm {
-        found.delete(&args.inputs, &done.encoded, console)?;
+        found.delete(&args.inputs, &done.encoded, (&place, console))?;
     }
     Ok(())
 }

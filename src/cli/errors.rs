@@ -2,8 +2,9 @@
 
 use std::io::{self, ErrorKind};
 
-use super::console::to_stderr;
 use crate::ground::error::{Error, one_line};
+
+use super::console::to_stderr;
 
 /// Prints the error on stderr and returns the exit code. A closed pipe is not an error: the reader needs no
 /// more.

@@ -46,12 +46,17 @@ impl InputFiles {
         inputs
     }
 
-    /// Deletes the files, and the folders that this leaves empty, up to these inputs, and tells how many files.
-    /// A file that is write-protected, or no longer what was `encoded`, is kept.
+    /// Deletes the files, and the folders that this leaves empty, up to these inputs, and tells how many files
+    /// of `place`. A file that is write-protected, or no longer what was `encoded`, is kept.
     ///
     /// # Errors
     /// If a file cannot be read or deleted, or if it was kept.
-    pub fn delete(&self, inputs: &[PathBuf], encoded: &EncodeStatistics, console: Console) -> Result<()> {
+    pub fn delete(
+        &self,
+        inputs: &[PathBuf],
+        encoded: &EncodeStatistics,
+        (place, console): (&str, Console),
+    ) -> Result<()> {
         let known = encoded.frames.iter().map(|frame| (&frame.name[..], (frame.file_size, frame.file_crc)));
         let known: HashMap<&str, (u64, u32)> = known.collect();
         let (mut deleted, mut kept) = (0, None);
@@ -75,7 +80,7 @@ impl InputFiles {
             // Folders that are not empty remain.
             above.take_while(|above| fs::remove_dir(above).is_ok()).for_each(drop);
         }
-        console.say(format_args!("deleted {}", readable::count(deleted, "file")));
+        console.say(format_args!("lidarpc: {place}: deleted {}", readable::count(deleted, "file")));
         kept.map_or(Ok(()), |(path, what)| bail!("{}: {what}", path.display()))
     }
 }
@@ -309,8 +314,10 @@ mod tests {
             encoded.frames.push(FrameHeader::of(name, name.as_bytes(), 0));
         }
         fs::write(folder.path().join("2.bin"), "4.bin").unwrap();
-        let refused =
-            files.delete(&[folder.path().to_path_buf()], &encoded, Console::SILENT).unwrap_err().to_string();
+        let refused = files
+            .delete(&[folder.path().to_path_buf()], &encoded, ("seq", Console::SILENT))
+            .unwrap_err()
+            .to_string();
         assert!(refused.contains("2.bin: changed after it was encoded"), "{refused}");
         let left = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
         assert_eq!(left.collect::<Vec<_>>(), ["2.bin"]);

@@ -267,8 +267,8 @@ mod tests {
             (0..400).flat_map(|n| [record(n), vec![n as u8, n as u8 % 32]].concat()).collect();
         let sample = Sample { name: "0.bin".to_owned(), size: start.len() as u64, start };
         assert_eq!(examine(std::slice::from_ref(&sample), None), Verdict::Agrees);
-        let cut = Sample { start: sample.start[8..].iter().map(|byte| !byte).collect(), ..sample };
-        assert_eq!(examine(&[cut], None), Verdict::NoFloats);
+        let inverted = Sample { start: sample.start.iter().map(|byte| !byte).collect(), ..sample };
+        assert_eq!(examine(&[inverted], None), Verdict::NoFloats);
     }
 
     #[test]

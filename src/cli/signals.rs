@@ -12,8 +12,9 @@ use std::sync::{Mutex, MutexGuard};
 use std::thread;
 use std::time::Duration;
 
-use super::console::to_stderr;
 use crate::ground::team::locked;
+
+use super::console::to_stderr;
 
 /// The paths to remove when a signal ends the program.
 static TEMPORARY: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());

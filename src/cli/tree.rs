@@ -228,7 +228,7 @@ fn encode_drive(
     frames::settle(&drive.found.frames, &mut config, &place, console)?;
     let Done { encoded, was_complete, .. } = encode_inputs(args, &config, &drive.found, Console::SILENT)?;
     if args.rm {
-        drive.found.delete(&args.inputs, &encoded, console)?;
+        drive.found.delete(&args.inputs, &encoded, (&place, console))?;
     }
     let seconds = start.elapsed().as_secs_f64();
     let mut stream = StreamReport::of(args, &config, &encoded, &drive.found.left_out, seconds);
