@@ -135,6 +135,13 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
     }
     bench.ok("decode out -o back");
     assert_eq!(tree(&bench.path("tree")), tree(&bench.path("back")));
+    for command in ["verify out --json", "info out --json"] {
+        let reports = bench.json(command);
+        let files = reports.as_array().unwrap().iter().map(|report| report["file"].as_str().unwrap());
+        assert!(files.eq(["out/a/drive_1.lpc", "out/b/drive_2.lpc"]), "{command}: {reports}");
+    }
+    bench.command("verify out --against tree").assert().code(2);
+    bench.fails("verify tree --quiet", "tree");
     // Existing drives are left as they are.
     fs::remove_file(bench.path("out/a/drive_1.lpc")).unwrap();
     let said = bench.says("encode tree -o out --all --resume");
@@ -143,7 +150,7 @@ fn a_tree_into_a_folder_gives_a_file_for_each_drive() {
     let good = fs::read(bench.path("out/a/drive_1.lpc")).unwrap();
     for bad in [&[][..], b"no stream", &[&b"X"[..], &good[1..]].concat(), &good[..good.len() - 9]] {
         fs::write(bench.path("out/a/drive_1.lpc"), bad).unwrap();
-        for command in ["encode tree -o out --all --resume", "decode out -o lost --force"] {
+        for command in ["encode tree -o out --all --resume", "decode out -o lost --force", "verify out"] {
             let said = bench.command(command).output().unwrap();
             let error = String::from_utf8(said.stderr).unwrap();
             assert_eq!(said.status.code(), Some(1), "{command}: {error}");

@@ -398,7 +398,7 @@ pub struct StatsArgs {
 
 #[derive(Debug, clap::Args)]
 pub struct InfoArgs {
-    /// Files to list; `-` for stdin.
+    /// Files to list, or folders, of which all streams are listed; `-` for stdin.
     #[arg(required = true, value_name = "FILE")]
     pub inputs: Vec<PathBuf>,
     /// Print the report as JSON; sizes and offsets in bytes.
@@ -410,7 +410,8 @@ pub struct InfoArgs {
 
 #[derive(Debug, clap::Args)]
 pub struct VerifyArgs {
-    /// Files to check; `-` for stdin. All are checked, even if one is damaged.
+    /// Files to check, or folders, of which all streams are checked; `-` for stdin. All are checked, even if
+    /// one is damaged.
     #[arg(required = true, value_name = "FILE")]
     pub inputs: Vec<PathBuf>,
     /// Compare with these original scans, byte for byte, and report missing ones.

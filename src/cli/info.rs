@@ -13,7 +13,7 @@ use serde::Serialize;
 use super::args::InfoArgs;
 use super::console::Console;
 use super::errors::about;
-use super::input::{for_each_file, is_recording, name_of, open};
+use super::input::{for_each_file, is_recording, name_of, open, with_folders_searched};
 use super::output::print_json;
 use super::{readable, recording};
 
@@ -86,9 +86,11 @@ enum Listed {
 }
 
 pub fn run(args: &InfoArgs) -> Result<()> {
+    let inputs = with_folders_searched(&args.inputs)?;
+    let is_one = inputs.len() == 1 && inputs == args.inputs;
     let mut infos = Vec::new();
     let mut out = io::BufWriter::new(io::stdout().lock());
-    let read = for_each_file("info", &args.inputs, |path| {
+    let read = for_each_file("info", &inputs, |path| {
         let (info, damage) = match is_recording(path) {
             true => {
                 let listing = recording::examine(path, None, 1, Console::SILENT)?;
@@ -102,7 +104,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
             }
         };
         if !args.json {
-            if args.inputs.len() > 1 {
+            if !is_one {
                 let before = if infos.is_empty() { "" } else { "\n" };
                 writeln!(out, "{before}{}:", name_of(path).escape_debug())?;
             }
@@ -119,7 +121,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     if args.json {
         match &infos[..] {
             [] => {}
-            [info] if args.inputs.len() == 1 => print_json(info)?,
+            [info] if is_one => print_json(info)?,
             infos => print_json(&infos)?,
         }
     }

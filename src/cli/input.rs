@@ -2,15 +2,16 @@
 //! with.
 
 use std::collections::{BTreeSet, HashMap};
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 
 use crate::container::{IndexedReader, MAGIC, Stamp};
-use crate::files::names::is_safe_path;
-use crate::files::sequence::find_frames;
+use crate::files::names::{is_safe_path, natural_cmp};
+use crate::files::sequence::{STREAM_EXTENSION, find_frames};
 use crate::ground::error::{Error, Limits, Result};
 use crate::stream::{self, DecodeOptions, DecodedFrame, FrameRange};
+use anyhow::Context;
 
 use super::args::wrong_usage;
 use super::console::Console;
@@ -258,6 +259,45 @@ impl ChosenFrames {
             _ => true,
         }
     }
+}
+
+/// The inputs, with the streams in a folder and below it in place of the folder.
+///
+/// # Errors
+/// If a folder cannot be read, or holds no stream.
+pub fn with_folders_searched(inputs: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let files = inputs.iter().map(|input| match input.is_dir() {
+        true => streams_below(input),
+        false => Ok(vec![input.clone()]),
+    });
+    Ok(files.collect::<anyhow::Result<Vec<_>>>()?.concat())
+}
+
+/// The files in a folder and below it that are streams by their names, in natural order.
+pub fn streams_below(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let (mut open, mut streams) = (vec![folder.to_path_buf()], Vec::new());
+    while let Some(folder) = open.pop() {
+        let entries = fs::read_dir(&folder).with_context(|| folder.display().to_string())?;
+        for entry in entries {
+            let entry = entry.with_context(|| folder.display().to_string())?;
+            let kind = entry.file_type().with_context(|| entry.path().display().to_string())?;
+            let path = entry.path();
+            if kind.is_dir() {
+                open.push(path);
+            } else if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case(STREAM_EXTENSION))
+                && !is_pipe(&path)
+            {
+                // A file that is no stream is damaged, or empty: an error, not another file.
+                streams.push(path);
+            }
+        }
+    }
+    if streams.is_empty() {
+        let what = "holds no stream; give a file that `lidarpc encode` wrote, or a folder of such".to_owned();
+        anyhow::bail!(Error::Input { path: folder.to_path_buf(), what });
+    }
+    streams.sort_by(|a, b| natural_cmp(&a.to_string_lossy(), &b.to_string_lossy()));
+    Ok(streams)
 }
 
 /// Calls `work` on each file. If there are several, failures are reported and the other files are still

@@ -23,7 +23,7 @@ use super::console::{Console, to_stderr};
 use super::encoding::{Done, encode_inputs};
 use super::errors::{NotWhole, say};
 use super::frames::{self, InputFiles};
-use super::input::{is_dash, is_pipe};
+use super::input::{is_dash, streams_below};
 use super::output::{create_folders, parent, print_json};
 use super::readable;
 use super::report::{LeftOutReport, StreamReport, summary};
@@ -269,31 +269,4 @@ pub fn decode(args: &DecodeArgs, mut decode_stream: impl FnMut(&DecodeArgs) -> R
             Err(NotWhole(format!("{not_whole} of {files} damaged; what is intact of them was saved")).into())
         }
     }
-}
-
-/// The files in a folder and below it that are streams by their names, in natural order.
-fn streams_below(folder: &Path) -> Result<Vec<PathBuf>> {
-    let (mut open, mut streams) = (vec![folder.to_path_buf()], Vec::new());
-    while let Some(folder) = open.pop() {
-        let entries = fs::read_dir(&folder).with_context(|| folder.display().to_string())?;
-        for entry in entries {
-            let entry = entry.with_context(|| folder.display().to_string())?;
-            let kind = entry.file_type().with_context(|| entry.path().display().to_string())?;
-            let path = entry.path();
-            if kind.is_dir() {
-                open.push(path);
-            } else if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case(STREAM_EXTENSION))
-                && !is_pipe(&path)
-            {
-                // A file that is no stream is damaged, or empty: an error, not another file.
-                streams.push(path);
-            }
-        }
-    }
-    if streams.is_empty() {
-        let what = "holds no stream; give a file that `lidarpc encode` wrote, or a folder of such".to_owned();
-        bail!(Error::Input { path: folder.to_path_buf(), what });
-    }
-    streams.sort_by(|a, b| natural_cmp(&a.to_string_lossy(), &b.to_string_lossy()));
-    Ok(streams)
 }

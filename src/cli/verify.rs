@@ -16,7 +16,7 @@ use serde::Serialize;
 use super::args::{VerifyArgs, wrong_usage};
 use super::console::Console;
 use super::errors::{about, line};
-use super::input::{Input, Originals, for_each_file, is_recording, name_of, open};
+use super::input::{Input, Originals, for_each_file, is_recording, name_of, open, with_folders_searched};
 use super::losses::{LossReport, Losses};
 use super::output::{FrameNames, print_json};
 use super::{readable, recording};
@@ -63,8 +63,12 @@ impl Report {
 }
 
 pub fn run(args: &VerifyArgs, console: Console) -> Result<()> {
-    if !args.against.is_empty() && args.inputs.iter().any(|input| is_recording(input)) {
+    let inputs = with_folders_searched(&args.inputs)?;
+    if !args.against.is_empty() && inputs.iter().any(|input| is_recording(input)) {
         wrong_usage("verify", "--against compares scans; a recording is compared by `encode --verify`");
+    }
+    if !args.against.is_empty() && inputs != args.inputs {
+        wrong_usage("verify", "--against compares the streams of a folder one by one; give one of them");
     }
     if args.deep {
         keep_to_plain_code();
@@ -74,7 +78,7 @@ pub fn run(args: &VerifyArgs, console: Console) -> Result<()> {
         inputs => Some(Originals::find(inputs)?),
     };
     let mut reports = Vec::new();
-    let verified = for_each_file("verify", &args.inputs, |input| {
+    let verified = for_each_file("verify", &inputs, |input| {
         let compared = originals.is_some();
         let mut report = Report { file: name_of(input), compared, deep: args.deep, ..Report::default() };
         let verified = verify(args, input, originals.as_mut(), &mut report, console);
@@ -88,13 +92,13 @@ pub fn run(args: &VerifyArgs, console: Console) -> Result<()> {
     });
     if args.json {
         match &reports[..] {
-            [report] => print_json(report)?,
+            [report] if inputs == args.inputs => print_json(report)?,
             reports => print_json(&reports)?,
         }
     }
     verified?;
     if let Some(missing) = originals.as_ref().and_then(Originals::left_over) {
-        let names: Vec<_> = args.inputs.iter().map(|input| name_of(input)).collect();
+        let names: Vec<_> = inputs.iter().map(|input| name_of(input)).collect();
         bail!("{}: not in {}", missing.display(), names.join(", "));
     }
     Ok(())

@@ -10,6 +10,7 @@ use super::arithmetic::whole_steps;
 use super::blur::Blur;
 use super::recipe::SumPrecision;
 use super::{ANGLE_UNIT, Build, Firings, Laser, Mounting, Origin, Recipe};
+use crate::ground::angle;
 use crate::ground::floats::round_ties_even;
 use crate::scanner::Return;
 use crate::scanner::motion::Displacement;
@@ -24,6 +25,8 @@ pub(super) struct Point<'m> {
     /// As seen from where its beam starts, or from where its range is measured.
     pub range: f64,
     pub elevation: f64,
+    /// Clockwise from x; approximate.
+    pub azimuth: f64,
     /// How it was moved to its position in the file, if it was.
     pub moved: Option<&'m Moved>,
 }
@@ -58,6 +61,7 @@ impl<'m> Point<'m> {
             position,
             range,
             elevation: libm::atan2(z, rho),
+            azimuth: angle::atan2(-y, x),
             moved,
         })
     }
@@ -68,6 +72,12 @@ impl<'m> Point<'m> {
         let rho = (x * x + y * y).sqrt();
         let elevation = libm::atan2(z, rho - focal);
         Point { range: rho / libm::cos(elevation), elevation, ..self }
+    }
+
+    /// Whether the point was moved by a motion of its own, so that its measured position is not known to the last
+    /// bit.
+    fn was_in_motion(&self) -> bool {
+        matches!(self.moved, Some(Moved { by: MovedBy::Motion(_), .. }))
     }
 
     /// Whether a scanner's recipe reproduces the point's coordinates in the file to the last bit, along these
@@ -377,8 +387,8 @@ impl Constants<'_> {
     /// The constants of a laser whose azimuth offset, in degrees, is wrong by an unknown number of whole
     /// ticks, and how many of its points they reproduce to the last bit, given the likeliest elevations.
     fn turned(&self, bare: &Firings, row: usize, offset: f64, elevations: &[i64]) -> (Laser, usize) {
-        /// Largest number of ticks that pass while the lasers fire.
-        const MOST: i32 = 40;
+        /// Largest number of ticks: 40 pass while lasers fire, and the order of a sparse scan may be wrong by more.
+        const MOST: i32 = 200;
         let tick = 360.0 / f64::from(bare.build.ticks);
         let (laser, exact) = self.laser_among(bare, row, offset, elevations, 0);
         let points = &self.of_rows[row];
@@ -386,7 +396,8 @@ impl Constants<'_> {
             return (laser, exact);
         }
         let off = (1..=MOST).flat_map(|ticks| [ticks, -ticks]).map(|ticks| offset + f64::from(ticks) * tick);
-        let lasers = off.clone().map(|degrees| Laser { azimuth: roundings(degrees)[0], ..laser });
+        let lasers = off.map(|degrees| Laser { azimuth: roundings(degrees)[0], ..laser });
+        let lasers = lasers.filter(|laser| may_be_right(bare, *laser, points));
         let (best, _) = best_of(bare, lasers, points, (laser, 0));
         let (other, others) = self.laser_among(bare, row, best.azimuth_degrees(), elevations, exact);
         // A chance match, or another recipe, does not reproduce most points.
@@ -676,7 +687,11 @@ impl Tried<'_> {
             let azimuth =
                 if are_thousandths { roundings(degrees)[0] } else { (degrees / ANGLE_UNIT).round() as i64 };
             let least = points.len().saturating_sub(left);
-            let exact = reproduced_points(self.bare, Laser { azimuth, ..*laser }, points, 0..3, least);
+            let laser = Laser { azimuth, ..*laser };
+            let exact = match may_be_right(self.bare, laser, points) {
+                true => reproduced_points(self.bare, laser, points, 0..3, least),
+                false => 0,
+            };
             left = left.checked_sub(points.len() - exact)?;
         }
         Some(least + left)
@@ -756,6 +771,14 @@ const AZIMUTH_STEP: f64 = 1e-6 / ANGLE_UNIT;
 /// Largest number of elevations with the same sine in single precision.
 const SAME: usize = 12;
 
+/// Whether a laser reproduces one of its first points or more, as it does if its constants are right, unless
+/// points were moved by a motion.
+fn may_be_right(bare: &Firings, laser: Laser, points: &[Point]) -> bool {
+    const SOME: usize = 20;
+    let some = &points[..points.len().min(SOME)];
+    some.iter().any(Point::was_in_motion) || reproduced_points(bare, laser, some, 0..3, 1) > 0
+}
+
 /// Number of points of a laser that are reproduced to the last bit along these axes; 0 as soon as there are
 /// certainly fewer than `least`.
 pub(super) fn reproduced_points(
@@ -766,8 +789,13 @@ pub(super) fn reproduced_points(
     least: usize,
 ) -> usize {
     let scanner = bare.of_laser(laser);
+    let is_on_axis = bare.build.origin == Origin::default();
     let is_exact = |point: &Point| {
-        let Some((steps, tick)) = scanner.locate(0, point.position) else { return false };
+        let located = match is_on_axis {
+            true => scanner.locate_from_axis(0, point.range, point.azimuth),
+            false => scanner.locate(0, point.position),
+        };
+        let Some((steps, tick)) = located else { return false };
         point.is_reproduced_by(&scanner, &Return { row: 0, column: 0, tick, steps, echo: 0 }, axes.clone())
     };
     let mut missed = 0;

@@ -68,16 +68,33 @@ pub(super) fn fit_by(
         let less = LEAST_SHARE..explained(&seen) - WORTH;
         let shares = sample.iter().map(|scan| (explained(&scan.cloud), &scan.cloud));
         let worst = shares.filter(|(share, _)| less.contains(share)).min_by(|a, b| a.0.total_cmp(&b.0));
-        let more = worst.and_then(|(_, other)| joined(&seen, other, best.rows_of_lines.len()));
-        let Some(more) = more else { break };
+        let Some((_, worst)) = worst else { break };
+        let Some(more) = joined(&seen, worst, best.rows_of_lines.len()) else { break };
         let worth =
             |scanner: &Firings| scanner.reproduced(&more.positions).0 + scanner.explained(&more.positions);
-        match fit_scan(&more).filter(|of_more| worth(of_more) > worth(&best)) {
+        let of_more = fit_scan(&more).filter(|of_more| shows_same_lasers(of_more, &seen, worst));
+        match of_more.filter(|of_more| worth(of_more) > worth(&best)) {
             Some(of_more) => (best, seen) = (of_more, Cow::Owned(more)),
             None => break,
         }
     }
     Some(best)
+}
+
+/// Whether two scans show many of the same lasers of a scanner that was fitted to both. Those of two scanners of
+/// a kind, whose elevations differ by little, do not.
+fn shows_same_lasers(scanner: &Firings, one: &PointCloud, other: &PointCloud) -> bool {
+    let seen = |cloud: &PointCloud| -> Vec<bool> {
+        let places = scanner.places(&cloud.positions, REACH + 0.5 * scanner.range_step_m());
+        let fewest = fewest_of(places.len());
+        let mut counts = vec![0; scanner.rows()];
+        places.iter().for_each(|place| counts[place.row as usize] += 1);
+        counts.into_iter().map(|count| count >= fewest).collect()
+    };
+    let (one, other) = (seen(one), seen(other));
+    let count = |seen: &[bool]| seen.iter().filter(|seen| **seen).count();
+    let both = one.iter().zip(&other).filter(|(one, other)| **one && **other).count();
+    2 * both >= count(&one).min(count(&other))
 }
 
 /// Two scans as one, as though the scanner had turned on. If files are in the order of `lines`, so is this

@@ -41,7 +41,7 @@ pub use projection::Sight;
 pub use recipe::{Origin, Recipe};
 pub use timing::Timing;
 
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fmt;
 use std::sync::Arc;
 
@@ -55,6 +55,7 @@ use crate::ground::floats::round_ties_even;
 use crate::scanner::hdl64::{BeamConstants, Hdl64};
 use crate::scanner::{CoordinateGrid, RangeImage, Return, median};
 use arithmetic::{Arithmetic, MOST_LOCATED, TurnTable};
+use recipe::Axes;
 use side_by_side::or_zero;
 use timing::{BlockTimes, Span};
 
@@ -371,7 +372,17 @@ impl Firings {
     /// The measurement of this laser that is nearest to a position in metres, in steps and ticks; `None` if
     /// there is no such range.
     fn locate(&self, row: usize, position: [f64; 3]) -> Option<(u32, u32)> {
-        let measured = self.measure(&self.bearings[row], position);
+        self.located(self.measure(&self.bearings[row], position))
+    }
+
+    /// The same for a beam that starts in the axis, given the range in metres and the azimuth of the position
+    /// in radians, clockwise from x.
+    fn locate_from_axis(&self, row: usize, range: f64, azimuth: f64) -> Option<(u32, u32)> {
+        let ahead = if self.build.recipe.axes() == Axes::YAhead { FRAC_PI_2 } else { 0.0 };
+        self.located(self.in_integers(azimuth + ahead - self.bearings[row].offset, range))
+    }
+
+    fn located(&self, measured: Measurement<f64>) -> Option<(u32, u32)> {
         let is_one = self.is_measured(&measured) && measured.steps < f64::from(MOST_LOCATED);
         is_one.then_some((measured.steps as u32, measured.tick as u32))
     }
@@ -391,8 +402,13 @@ impl Firings {
             azimuth = azimuth + angle::atan2(beside, ahead + bearing.ahead);
             ahead * bearing.cos + (z - bearing.up) * bearing.sin + bearing.farther
         };
+        self.in_integers(azimuth - bearing.offset, metres)
+    }
+
+    /// The measurements that are nearest to azimuths, less the lasers' offsets, and ranges.
+    #[inline(always)]
+    fn in_integers<V: Choose>(&self, azimuth: V, metres: V) -> Measurement<V> {
         let turn = f64::from(self.build.ticks);
-        let azimuth = azimuth - bearing.offset;
         let ticks = (azimuth / azimuth.splat(self.radians())).round_ties_even();
         // From half a turn back to half a turn ahead.
         let nearest = ticks - (ticks * (1.0 / turn)).round_ties_even() * turn;

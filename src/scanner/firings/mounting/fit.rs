@@ -404,8 +404,12 @@ impl Seen {
     /// file.
     fn direction(&self, recipe: Recipe, part: u32, start: &Mounting) -> Option<Direction> {
         /// Numbers of points by which directions are compared, and the part of the directions that remains.
-        const ROUNDS: [(usize, usize); 4] = [(16, 16), (64, 16), (400, 16), (1600, 1)];
+        const ROUNDS: [(usize, usize); 5] = [(8, 8), (24, 8), (96, 8), (400, 8), (1600, 1)];
         const FEWEST: usize = 8;
+        /// Orders of operations that reproduce enough of what others make to tell directions roughly.
+        const ROUGHLY: [TransformOrder; 2] = [TransformOrder::Double, TransformOrder::SingleShiftLast];
+        /// Number of directions that are told roughly.
+        const MANY: usize = 1000;
         let scanner = self.scanner(recipe, part);
         let ticks = self.build.ticks;
         let quarter = if recipe.axes() == Axes::YAhead { FRAC_PI_2 } else { 0.0 };
@@ -417,17 +421,18 @@ impl Seen {
         let turned = |later: u32| mounting.turned(f64::from(later) * TAU / f64::from(ticks));
         let mut directions: Vec<(u32, u32)> = (0..ticks).map(|later| (0, later)).collect();
         // Their roundings tell the direction of azimuth 0.
-        let orders: Vec<TransformOrder> =
+        let all: Vec<TransformOrder> =
             TransformOrder::ALL.into_iter().filter(|order| order.rounds_first()).collect();
         let mut by_chance = 0;
         for (points, part) in ROUNDS {
             let points: Vec<&Measurement> = thinned(&few, points).collect();
+            let orders = if directions.len() > MANY { &ROUGHLY[..] } else { &all };
             for (missed, later) in &mut directions {
                 let pairs = points.iter().map(|(found, position)| {
                     let tick = (found.tick + *later) % ticks;
                     (rounded(&Return { tick, ..*found }), *position)
                 });
-                *missed = self::missed(&turned(*later), &orders, pairs);
+                *missed = self::missed(&turned(*later), orders, pairs);
             }
             directions.sort_unstable();
             by_chance = directions[directions.len() / 2].0;

@@ -17,7 +17,7 @@ use crate::scanner::firings::{self, Firings, Moved, MovedBy, Sight, fit_moved};
 use crate::scanner::motion::cones::Cones;
 use crate::scanner::motion::many::Seen;
 use crate::scanner::motion::{Motion, Mover};
-use crate::scanner::{CoordinateGrid, channel_of_lasers, thinned};
+use crate::scanner::{CoordinateGrid, channel_of_lasers, median, thinned};
 
 /// Number of points in a first search, and in the last one.
 const SAMPLE: usize = 2000;
@@ -111,6 +111,8 @@ fn fit_half(scan: &ScanFile, near: &Firings) -> Option<Firings> {
 fn fit_scan(scan: &ScanFile, near: Option<&Firings>) -> Option<Firings> {
     /// Each iteration improves the constants, and these the motion.
     const TRIES: usize = 3;
+    /// A share of exactly reproduced points that need not be improved.
+    const NEARLY_ALL: f64 = 0.95;
     let all = points_without_parts(&scan.cloud)?;
     let without =
         near.map_or(0.0, |near| share(&Sight::new(near), thinned(&all, SAMPLE), &Motion::default()));
@@ -126,7 +128,11 @@ fn fit_scan(scan: &ScanFile, near: Option<&Firings>) -> Option<Firings> {
         let mut last = Motion::default();
         for _ in 0..TRIES {
             let motion = match best.as_ref().map(|(_, scanner)| scanner).or(near) {
-                Some(scanner) => search_with_constants(&Sight::new(scanner), &few, last),
+                Some(scanner) => {
+                    let sight = Sight::new(scanner);
+                    let motion = search_with_constants(&sight, &few, last);
+                    motion.filter(|motion| are_at_whole_steps(&pairs(&sight, &few, motion), motion))
+                }
                 None => rough_motion(&points, &scan.cloud.channels),
             };
             let Some(motion) = motion else { break };
@@ -151,6 +157,9 @@ fn fit_scan(scan: &ScanFile, near: Option<&Firings>) -> Option<Firings> {
                 break;
             }
             best = Some((share, fitted));
+            if share > NEARLY_ALL {
+                break;
+            }
         }
         if let Some((_, scanner)) = best.filter(|(share, _)| is_better(*share, without)) {
             return Some(scanner);
@@ -317,6 +326,23 @@ fn pairs(sight: &Sight, points: &[Point], motion: &Motion) -> Vec<Pair> {
         Some(Pair { there, formula, row: found.row, part: point.part, rounding })
     };
     points.iter().filter_map(pair).collect()
+}
+
+/// Whether most points are at the formula's ranges, as far as single precision tells: by the wrong motion, or
+/// moved to another moment, they are up to half a range step beside them. The constants of lasers make little
+/// difference to ranges.
+fn are_at_whole_steps(pairs: &[Pair], motion: &Motion) -> bool {
+    /// Largest median distance from the formula's range, in units of what rounding may do to it.
+    const NEAR: f64 = 10.0;
+    let mover = Mover::new(motion);
+    let off = |pair: &Pair| {
+        let moved = mover.at(pair.part).moved(pair.formula);
+        let along = |of: &[f64; 3]| (0..3).map(|axis| of[axis] * pair.formula[axis]).sum::<f64>();
+        let miss = [0, 1, 2].map(|axis| pair.there[axis] - moved[axis]);
+        let unit = pair.rounding.iter().map(|rounding| square(*rounding)).sum::<f64>().sqrt();
+        along(&miss).abs() / (along(&pair.formula).sqrt() * unit)
+    };
+    median(pairs.iter().map(off)) < NEAR
 }
 
 /// An iteration of weighted least squares. The constants of the first `rows` lasers are free, and eliminated.
