@@ -706,6 +706,30 @@ fn two_scanners_in_one_folder_are_told_apart() {
 }
 
 #[test]
+fn units_that_see_only_what_is_near_are_told_apart() {
+    let near = |scanner: &Firings| {
+        let mut image = image(scanner, 1);
+        image.steps.cells_mut().iter_mut().for_each(|steps| *steps /= 6);
+        let points = points(scanner, &image).into_iter();
+        points.filter(|point| point[..3] != [0.0; 3]).collect::<Points>()
+    };
+    let one = made_up(Recipe::DoubleYAhead);
+    // Nearby, the beams of the other unit are within reach of this one's.
+    let lasers = (0..).zip(one.lasers()).map(|(row, laser)| Laser {
+        elevation: laser.elevation + [70, -60, 80][row % 3] * 1_000_000,
+        ..*laser
+    });
+    let another = Firings::new(one.build().clone(), lasers.collect(), (0..32).map(|n| n * 5 % 32).collect());
+    let (one, another) = (near(&one), near(&another));
+    let (of_one, _) = fit(&[file(&one)]).expect("found");
+    assert!(of_one.explained_share(&file(&another).cloud.positions) > 0.5);
+    let (of_both, _) = fit(&[file(&one), file(&another)]).expect("found");
+    assert_eq!(of_both.lasers().len(), 32);
+    let stream = round_trip(&files(&[one, another]), &EncoderConfig::default());
+    assert_eq!(take_apart(&stream).0.len(), 2);
+}
+
+#[test]
 fn scanners_that_take_turns_are_all_found() {
     let scan = |recipe| {
         let scanner = made_up(recipe);
