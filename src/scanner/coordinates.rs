@@ -3,6 +3,7 @@
 
 use crate::ground::decimal;
 use crate::ground::floats::{of_rank, rank, round_ties_even};
+use crate::scanner::thinned;
 
 /// The grid of the coordinates. A *unit* is the distance between neighbouring values of that grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,6 +50,13 @@ impl CoordinateGrid {
         let mut grids = places.chain(digits);
         let holds = |grid: &CoordinateGrid| values.iter().all(|value| grid.unit_in_file(*value).is_some());
         grids.find(holds).filter(|_| !values.is_empty()).unwrap_or(CoordinateGrid::Float32)
+    }
+
+    /// Whether positions (metres) were rounded, as far as a sample of them tells.
+    pub fn are_rounded(positions: &[[f32; 3]]) -> bool {
+        const SAMPLE: usize = 2000;
+        let values: Vec<f32> = thinned(positions, SAMPLE).flatten().copied().collect();
+        Self::finest_of(&values) != CoordinateGrid::Float32
     }
 
     /// The grids on which most of some positions (metres) lie and take the fewest bits, the widest ones: the

@@ -122,7 +122,9 @@ impl Scanner {
         let is_better =
             |scanner: &Firings| found.is_none() || scanner.reproduced_share(positions) > 0.5 * (1.0 + exact);
         let moved = by_time::fit(sample, found.as_ref());
-        let mounted = || firings::fit_mounted(sample).filter(is_better);
+        // Rounding hides how much the frame is turned around the axis of the scanner that was found.
+        let may_be_mounted = found.is_none() || !CoordinateGrid::are_rounded(positions);
+        let mounted = || may_be_mounted.then(|| firings::fit_mounted(sample))?.filter(is_better);
         let firings = moved.or_else(mounted).or(found).map(Scanner::from);
         firings.or_else(beams).or(turned.map(|(scanner, _)| scanner))
     }

@@ -204,8 +204,9 @@ impl ScanFacts<'_> {
         let focal = || (!self.blur.is_any()).then(|| self.through_focal_point()).flatten();
         let elsewhere = || focal().or_else(|| self.off_axis());
         let scanners = on_axis.or_else(elsewhere).or_else(|| Some(vec![self.ouster()?]))?;
-        let candidates = scanners.into_iter().map(|scanner| self.candidate(scanner));
-        candidates.max_by(|a, b| a.worth.total_cmp(&b.worth))
+        let candidates: Vec<Candidate> =
+            scanners.into_par_iter().map(|scanner| self.candidate(scanner)).collect();
+        candidates.into_iter().max_by(|a, b| a.worth.total_cmp(&b.worth))
     }
 
     /// Among scanners that explain about as many points, the one with the fewest columns is best, because its

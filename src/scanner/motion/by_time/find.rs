@@ -66,17 +66,14 @@ pub fn undo(cloud: &PointCloud, scanner: &Firings) -> Option<(Vec<[f32; 3]>, Sta
 pub fn fit(sample: &[ScanFile], near: Option<&Firings>) -> Option<Firings> {
     /// Number of scans that are tried.
     const MOST: usize = 3;
-    let may_be_moved =
-        |scan: &&ScanFile| candidates(&scan.cloud.channels).next().is_some() && !is_rounded(&scan.cloud);
+    // Rounding hides whether points were moved: also if the scanner near to them is one of unrounded coordinates,
+    // because it reproduces too few.
+    let may_be_moved = |scan: &&ScanFile| {
+        let PointCloud { positions, channels, .. } = &scan.cloud;
+        candidates(channels).next().is_some() && !CoordinateGrid::are_rounded(positions)
+    };
     let found = sample.iter().filter(may_be_moved).take(MOST).find_map(|scan| fit_scan(scan, near));
     found.or_else(|| fit_half(sample.iter().find(may_be_moved)?, near?))
-}
-
-/// Whether coordinates were rounded, which hides whether points were moved: also if the scanner near to them
-/// is one of unrounded coordinates, because it reproduces too few.
-fn is_rounded(cloud: &PointCloud) -> bool {
-    let values: Vec<f32> = thinned(&cloud.positions, SAMPLE).flatten().copied().collect();
-    CoordinateGrid::finest_of(&values) != CoordinateGrid::Float32
 }
 
 /// As [`fit_scan`], from the half of a scan that was moved the least: constants that fit the whole scan, as far
