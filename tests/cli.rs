@@ -172,7 +172,11 @@ fn verify_finds_what_differs() {
     fs::write(bench.path("seq/extra.bin"), b"more").unwrap();
     bench.fails("verify out.lpc --against seq", "seq/extra.bin");
     bench.fails("verify out.lpc out.lpc --against seq", "seq/extra.bin");
+    fs::write(bench.path("seq/other.bin"), b"more").unwrap();
+    let error = bench.fails("verify out.lpc --against seq", "seq/extra.bin");
+    assert!(error.contains("not in out.lpc; 2 scans are missing in all"), "{error}");
     fs::remove_file(bench.path("seq/extra.bin")).unwrap();
+    fs::remove_file(bench.path("seq/other.bin")).unwrap();
     bench.ok("verify out.lpc out.lpc --against seq");
 
     let mut changed = scan(41, 3);
@@ -1135,6 +1139,10 @@ fn limits_can_be_set() {
             let error = bench.fails(&format!("{command} {limit}"), "d.lpc");
             assert!(error.contains("over the limit") && error.contains("--max-points"), "{error}");
         }
+        // What the limits leave out is not damaged.
+        let kept = bench.command(&format!("decode d.lpc -o kept --keep-going {limit}")).output().unwrap();
+        let said = String::from_utf8(kept.stderr).unwrap();
+        assert!(said.contains("over the limit") && !said.contains("checksums"), "{said}");
     }
     bench.fails("info d.lpc --max-group-bytes 100", "d.lpc");
     bench.ok("verify d.lpc --max-points 10000000 --max-file-bytes 10000000");

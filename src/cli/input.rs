@@ -197,9 +197,9 @@ impl Originals {
         is_safe.then(|| self.folder.join(name)).filter(|path| path.exists())
     }
 
-    /// A scan that was never read, if there is one.
-    pub fn left_over(&self) -> Option<&Path> {
-        self.left.first().map(PathBuf::as_path)
+    /// The first of the scans that were never read, and how many there are.
+    pub fn left_over(&self) -> Option<(&Path, usize)> {
+        self.left.first().map(|first| (first.as_path(), self.left.len()))
     }
 }
 

@@ -97,9 +97,10 @@ pub fn run(args: &VerifyArgs, console: Console) -> Result<()> {
         }
     }
     verified?;
-    if let Some(missing) = originals.as_ref().and_then(Originals::left_over) {
+    if let Some((missing, count)) = originals.as_ref().and_then(Originals::left_over) {
         let names: Vec<_> = inputs.iter().map(|input| name_of(input)).collect();
-        bail!("{}: not in {}", missing.display(), names.join(", "));
+        let all = if count > 1 { format!("; {count} scans are missing in all") } else { String::new() };
+        bail!("{}: not in {}{all}", missing.display(), names.join(", "));
     }
     Ok(())
 }

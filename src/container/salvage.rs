@@ -321,9 +321,27 @@ impl<R: Read + Seek> SalvageReader<R> {
         let names = self.names_in(start..offset)?.into_iter().skip(known).collect();
         (self.position, self.next_frame) = (offset, frame);
         let frames = self.index.is_some().then_some(frames);
-        let why = if bytes.is_empty() { "records are missing" } else { "checksums do not match" }.to_owned();
+        let why = self.fault_of(&bytes)?;
         self.has_lost = true;
         Ok(Some(Salvaged::Lost(Lost { bytes, frames, names, why })))
+    }
+
+    /// What is wrong with bytes that are lost: if their checksum matches, that they hold more than is allowed.
+    fn fault_of(&mut self, bytes: &Range<u64>) -> Result<String> {
+        if bytes.is_empty() {
+            return Ok("records are missing".to_owned());
+        }
+        self.input.seek(SeekFrom::Start(bytes.start))?;
+        let raw = read_record(&mut self.input.by_ref().take(bytes.end - bytes.start), &self.limits);
+        let error = match raw {
+            Ok(raw) if raw.intact && raw.kind == GROUP => Group::read_from(&raw.payload, &self.limits).err(),
+            other => other.err(),
+        };
+        match error {
+            Some(error @ Error::LimitExceeded { .. }) => Ok(error.to_string()),
+            Some(Error::Io(error)) => Err(error.into()),
+            _ => Ok("checksums do not match".to_owned()),
+        }
     }
 
     /// Skips records that older programs may skip.
