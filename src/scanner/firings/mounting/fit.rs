@@ -50,7 +50,8 @@ pub fn fit(sample: &[ScanFile]) -> Option<Firings> {
     let sharpened = |seen: &Seen, start: &Mounting| {
         let mut pairs = seen.pairs(&scanner);
         pairs.extend(nothing.map(|position| ([0.0; 3], position)));
-        last_bits(&pairs, start)
+        let (mounting, exact) = last_bits(&pairs, start)?;
+        Some((nothing.map_or(mounting, |position| mounting.with_zeros_at(position)), exact))
     };
     let (mounting, exact) = sharpened(&seen, &start)?;
     // Most recipes round x and y alike, so that a quarter of a turn shows only in the order of a mounting's
@@ -161,6 +162,21 @@ impl Mounting {
         let [one, other] = pose::across(&pose.axis);
         let rows = [0, 1, 2].map(|axis| [one[axis], other[axis], pose.axis[axis], pose.apex[axis]]);
         Mounting { order: TransformOrder::Double, rows }
+    }
+
+    /// This mounting, its translation corrected in the last digits such that records without a return, which are
+    /// zeros before they are moved, are moved to where the file has them.
+    fn with_zeros_at(mut self, position: [f32; 3]) -> Self {
+        /// Parts of a metre in which translations are written.
+        const PARTS: [f64; 2] = [1e4, 1e6];
+        let moved = self.moved(&[0.0; 3]).map(|metres| metres as f32);
+        for axis in (0..3).filter(|&axis| moved[axis] != position[axis]) {
+            let metres = f64::from(position[axis]);
+            let written = PARTS.map(|parts| round_ties_even(metres * parts) / parts);
+            let same = written.into_iter().find(|written| *written as f32 == position[axis]);
+            self.rows[axis][3] = same.unwrap_or(metres);
+        }
+        self
     }
 }
 
@@ -528,4 +544,26 @@ fn all_as_written(degrees: &[f64], grids: &[f64]) -> Vec<i64> {
         (near.unwrap_or(angle) / ANGLE_UNIT).round() as i64
     };
     degrees.iter().map(written).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn zeros_are_moved_to_where_the_file_has_them() {
+        let rows =
+            [[0.6, -0.8, 0.0, 0.900_000_06], [0.8, 0.6, 0.0, -1.1e-8], [0.0, 0.0, 1.0, 1.800_000_000_1]];
+        for order in TransformOrder::ALL {
+            let mounting = Mounting { order, rows };
+            let position = [0.9, 0.0, 1.8];
+            assert_ne!(mounting.moved(&[0.0; 3]).map(|metres| metres as f32), position);
+            let corrected = mounting.with_zeros_at(position);
+            assert_eq!(corrected.moved(&[0.0; 3]).map(|metres| metres as f32), position);
+            // Written in decimals, as translations are; what is right to float32 is left as it is.
+            assert_eq!(corrected.rows.map(|row| row[3]), [0.9, 0.0, 1.800_000_000_1]);
+            let odd = [0.123_456_79, 0.0, 1.8];
+            assert_eq!(mounting.with_zeros_at(odd).rows[0][3], f64::from(odd[0]));
+        }
+    }
 }
