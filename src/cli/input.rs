@@ -274,6 +274,9 @@ pub fn with_folders_searched(inputs: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>>
 }
 
 /// The files in a folder and below it that are streams by their names, in natural order.
+///
+/// # Errors
+/// If a folder cannot be read, or there is no stream.
 pub fn streams_below(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let (mut open, mut streams) = (vec![folder.to_path_buf()], Vec::new());
     while let Some(folder) = open.pop() {

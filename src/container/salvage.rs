@@ -326,15 +326,18 @@ impl<R: Read + Seek> SalvageReader<R> {
         Ok(Some(Salvaged::Lost(Lost { bytes, frames, names, why })))
     }
 
-    /// What is wrong with bytes that are lost: if their checksum matches, that they hold more than is allowed.
+    /// What is wrong with bytes that are lost: damage or, if they are whole, that they hold more than is allowed.
     fn fault_of(&mut self, bytes: &Range<u64>) -> Result<String> {
         if bytes.is_empty() {
             return Ok("records are missing".to_owned());
         }
         self.input.seek(SeekFrom::Start(bytes.start))?;
-        let raw = read_record(&mut self.input.by_ref().take(bytes.end - bytes.start), &self.limits);
+        let length = bytes.end - bytes.start;
+        let raw = read_record(&mut self.input.by_ref().take(length), &self.limits);
         let error = match raw {
             Ok(raw) if raw.intact && raw.kind == GROUP => Group::read_from(&raw.payload, &self.limits).err(),
+            // A length that the bytes do not have is damaged.
+            Err(Error::LimitExceeded { got, .. }) if got > length => None,
             other => other.err(),
         };
         match error {

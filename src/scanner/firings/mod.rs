@@ -382,6 +382,7 @@ impl Firings {
         self.located(self.in_integers(azimuth + ahead - self.bearings[row].offset, range))
     }
 
+    /// A measurement in steps and ticks; `None` if there is no such range.
     fn located(&self, measured: Measurement<f64>) -> Option<(u32, u32)> {
         let is_one = self.is_measured(&measured) && measured.steps < f64::from(MOST_LOCATED);
         is_one.then_some((measured.steps as u32, measured.tick as u32))

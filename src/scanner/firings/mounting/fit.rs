@@ -165,7 +165,7 @@ impl Mounting {
     }
 
     /// This mounting, its translation corrected in the last digits such that records without a return, which are
-    /// zeros before they are moved, are moved to where the file has them.
+    /// zeros before they are moved, are moved to where the file has them, in metres.
     fn with_zeros_at(mut self, position: [f32; 3]) -> Self {
         /// Parts of a metre in which translations are written.
         const PARTS: [f64; 2] = [1e4, 1e6];
