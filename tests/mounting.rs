@@ -160,6 +160,42 @@ fn beams_that_start_off_the_axis_are_found() {
     }
 }
 
+/// Checks that a scanner is found in several poses with the recipe by which its points were computed, and that
+/// it reproduces nearly all of them.
+fn is_told_in_any_pose(scanner: &Firings) {
+    let recipe = scanner.build().recipe;
+    let measured = points(scanner, &RangeImage { is_full: false, ..image(scanner, 1) });
+    for (degrees, metres) in [(DEGREES, METRES), ([179.2, 0.6, 33.7], [0.9, -0.3, 1.8])] {
+        for mover in [Mover::Pcl, Mover::NumPyDouble] {
+            let moved = mover.moved(&measured, degrees, metres);
+            let (found, mounting) = fitted(file(&moved));
+            assert!(mounting.is_some(), "{recipe:?} {degrees:?}: without a mounting");
+            assert_eq!(found.build().recipe, recipe, "{degrees:?} {mover:?}");
+            let exact = found.reproduced_share(&positions(&moved));
+            assert!(exact > 0.97, "{recipe:?} {degrees:?} {mover:?}: {exact}");
+        }
+    }
+}
+
+#[test]
+fn recipes_are_told_in_any_pose() {
+    for recipe in [Recipe::DoubleYAhead, Recipe::NebulaJanuary2023] {
+        is_told_in_any_pose(&made_up(recipe));
+    }
+}
+
+#[test]
+fn offsets_that_are_all_turned_together_are_found() {
+    // As in the files of Hesai's Pandar40P and Pandar64.
+    let scanner = made_up(Recipe::Nebula);
+    let laser = |(row, laser): (usize, &Laser)| Laser {
+        azimuth: [-1_042_000_000, 3_125_000_000, -5_208_000_000][row % 3],
+        ..*laser
+    };
+    let lasers = scanner.lasers().iter().enumerate().map(laser).collect();
+    is_told_in_any_pose(&Firings::new(scanner.build().clone(), lasers, (0..32).collect()));
+}
+
 #[test]
 fn offsets_of_several_ticks_by_a_recipe_in_single_precision_are_found() {
     let scanner = made_up(Recipe::VelodyneRos);

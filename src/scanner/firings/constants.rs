@@ -160,6 +160,8 @@ pub(super) struct Constants<'m> {
     pub elevations: Vec<f64>,
     /// Azimuth offsets in ticks, without whole ticks.
     pub phases: Vec<f64>,
+    /// The mean of the azimuth offsets, in degrees, to half a tick. 0 if it is not known.
+    pub mean_offset: f64,
     /// Some points of each laser.
     pub of_rows: Vec<Vec<Point<'m>>>,
     /// Ten times as many points of each laser.
@@ -200,7 +202,7 @@ impl Constants<'_> {
     /// The recipe that reproduces the most points to the last bit (the first one on ties), and the lasers.
     /// `shifts` are the whole ticks by which each laser is ahead of the others.
     pub fn determine(&self, build: &Build, shifts: &[f64]) -> Option<LaserFit> {
-        let offsets = self.offsets_around_zero(build.ticks, shifts);
+        let offsets = self.offsets(build.ticks, shifts);
         if Blur::of(build.coordinates).is_any() {
             return Some(self.of_rounded(build, &offsets));
         }
@@ -246,13 +248,13 @@ impl Constants<'_> {
     }
 
     /// The azimuth offsets in degrees, given the whole ticks by which each laser is ahead of the others, such
-    /// that their mean is within half a tick of 0.
-    fn offsets_around_zero(&self, ticks: u32, shifts: &[f64]) -> Vec<f64> {
+    /// that their mean is within half a tick of what is known of it.
+    fn offsets(&self, ticks: u32, shifts: &[f64]) -> Vec<f64> {
         let tick = 360.0 / f64::from(ticks);
         let ahead = self.phases.iter().zip(shifts).map(|(phase, shift)| (phase + shift) * tick);
         let ahead: Vec<f64> = ahead.collect();
         let mean = ahead.iter().sum::<f64>() / ahead.len().max(1) as f64;
-        let middle = round_ties_even(-mean / tick) * tick;
+        let middle = round_ties_even((self.mean_offset - mean) / tick) * tick;
         ahead.into_iter().map(|offset| offset + middle).collect()
     }
 

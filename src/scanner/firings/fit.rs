@@ -49,7 +49,7 @@ const FOCAL_POINTS_UM: [i32; 4] = [41_910, 42_400, 58_630, 28_956];
 pub fn fit(sample: &[ScanFile]) -> Option<Firings> {
     fit_by(sample, |cloud| {
         let points = cloud.positions.iter().map(|position| Point::new(position.map(f64::from), None));
-        fit_points(cloud, points)
+        fit_points(cloud, points, 0.0)
     })
 }
 
@@ -117,16 +117,20 @@ fn joined(one: &PointCloud, other: &PointCloud, lines: usize) -> Option<PointClo
     Some(both.select(&order.map(|record| record as u32).collect::<Vec<_>>()))
 }
 
-/// Fits a scanner to one scan whose points were moved; `moved` has all of them.
-pub fn fit_moved(cloud: &PointCloud, moved: &[Moved]) -> Option<Firings> {
+/// Fits a scanner to one scan whose points were moved; `moved` has all of them. `mean_offset`: as in [`ScanFacts`].
+pub fn fit_moved(cloud: &PointCloud, moved: &[Moved], mean_offset: f64) -> Option<Firings> {
     let positions = moved.iter().map(|point| point.measured.map(|metres| metres as f32)).collect();
     let measured = PointCloud { positions, ..cloud.clone() };
     let points = moved.iter().map(|point| Point::new(point.measured, Some(point)));
-    fit_points(&measured, points)
+    fit_points(&measured, points, mean_offset)
 }
 
 /// The same, given a point for each record of the scan, or `None` for records without a direction.
-fn fit_points<'m>(cloud: &'m PointCloud, points: impl Iterator<Item = Option<Point<'m>>>) -> Option<Firings> {
+fn fit_points<'m>(
+    cloud: &'m PointCloud,
+    points: impl Iterator<Item = Option<Point<'m>>>,
+    mean_offset: f64,
+) -> Option<Firings> {
     let (numbers, points): (Vec<usize>, Vec<Point>) =
         points.enumerate().filter_map(|(record, point)| Some((record, point?))).unzip();
     let measured = points.len();
@@ -140,7 +144,7 @@ fn fit_points<'m>(cloud: &'m PointCloud, points: impl Iterator<Item = Option<Poi
     let mut best: Option<Candidate> = None;
     for nearest in blur.nearest(&points) {
         let (numbers, points) = beyond(nearest, &numbers, &points);
-        let facts = ScanFacts { cloud, numbers, points, measured, coordinates, blur, nearest };
+        let facts = ScanFacts { cloud, numbers, points, measured, coordinates, blur, nearest, mean_offset };
         let has_nearly_all = facts.points.len() as f64 > NEARLY_ALL * measured as f64;
         let next = facts.best();
         best = next.into_iter().chain(best).reduce(|a, b| if b.worth > a.worth { b } else { a });
@@ -187,6 +191,8 @@ pub(super) struct ScanFacts<'s> {
     pub blur: Blur,
     /// In metres: the range of the nearest of `points`, or less.
     pub nearest: f64,
+    /// In degrees: the mean of the azimuth offsets of all lasers, to half a tick. 0 if it is not known.
+    pub mean_offset: f64,
 }
 
 /// A scanner that may have measured a scan.
@@ -252,7 +258,7 @@ impl ScanFacts<'_> {
 
     /// Scanners whose beams all start in `origin` and that may have measured the scan.
     fn starting_in_one_point(&self, origin: Origin) -> Option<Vec<Firings>> {
-        let ScanFacts { points, coordinates, blur, .. } = self;
+        let ScanFacts { points, coordinates, blur, mean_offset, .. } = self;
         let range_step_um = range_step(points.iter().map(|point| point.range), *blur)?;
         let Rows { elevations, of_points: rows, places, grid } = self.rows()?;
         let of_rows = by_rows(points, &rows, elevations.len(), TRIED);
@@ -285,7 +291,8 @@ impl ScanFacts<'_> {
             None => own,
         });
         let near_axes = near_axes(points, &rows, elevations.len());
-        let constants = Constants { elevations, phases, of_rows, more_of_rows, near_axes };
+        let constants =
+            Constants { elevations, phases, mean_offset: *mean_offset, of_rows, more_of_rows, near_axes };
         let build = Build {
             recipe: Recipe::VelodyneRos,
             ticks,

@@ -366,6 +366,7 @@ pub(super) fn known_start(points: &[Point], along: f64) -> Option<(Origin, f64)>
             coordinates: CoordinateGrid::Float32,
             blur: Blur::default(),
             nearest: 0.0,
+            mean_offset: 0.0,
         };
         let mut rows = facts.rows_by_elevation(maker, usize::MAX)?;
         rows.iter_mut().for_each(|row| row.retain(|point| point.range > NEAREST));

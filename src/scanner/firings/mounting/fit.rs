@@ -1,21 +1,19 @@
 //! Fits a scanner and its mounting to points alone.
 //!
 //! The [`pose`](super::pose) of the scanner turns points into ranges, elevations and azimuths, of which only
-//! the direction of azimuth 0 is still unknown. It shows in the roundings: a recipe rounds positions before
-//! they are moved, so that the right direction, of all that are whole ticks apart, misses the fewest
-//! coordinates. If the program did not round them, all these directions are right. The numbers of the
-//! mounting then follow by least squares, and the measured points, to the last bit, from those of the recipe.
-//! To these a scanner is fitted as to any others.
+//! the [`direction`](super::direction) of azimuth 0 is still unknown. The numbers of the mounting then follow by
+//! least squares, and the measured points, to the last bit, from those of the recipe. To these a scanner is fitted
+//! as to any others.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use nalgebra::Vector3;
-use rayon::prelude::*;
 
-use super::numbers::{COARSE, FEW, Pair, last_bits, least_squares, missed, unit_at};
+use super::direction::{Measurement, Off, Offsets, SAMPLE, Seen, WORTH};
+use super::numbers::{COARSE, last_bits, least_squares};
 use super::pose::{self, Pose};
 use super::{Mounting, TransformOrder};
-use crate::ground::floats::{round_ties_even, square};
+use crate::ground::floats::round_ties_even;
 use crate::scan::{PointCloud, ScanFile, fullest};
 use crate::scanner::firings::arithmetic::whole_steps;
 use crate::scanner::firings::blur::Blur;
@@ -29,11 +27,6 @@ use crate::scanner::firings::projection::{Sight, nearest};
 use crate::scanner::firings::recipe::Axes;
 use crate::scanner::firings::{ANGLE_UNIT, Build, Firings, Laser, Origin, Recipe, THOUSANDTH, Timing};
 use crate::scanner::{CoordinateGrid, Return, channel_of_lasers, median, thinned};
-
-/// Number of points that are used for counting and comparing.
-const SAMPLE: usize = 8000;
-/// A direction that misses no more than this part of what others miss is no chance.
-const WORTH: f64 = 0.93;
 
 /// A scanner with its mounting. `None` if the largest scan of the sample does not show a scanner.
 pub fn fit(sample: &[ScanFile]) -> Option<Firings> {
@@ -68,7 +61,7 @@ pub fn fit(sample: &[ScanFile]) -> Option<Firings> {
             by: MovedBy::Mounting(mounting),
             position: *position,
         });
-        let fitted = fit_moved(cloud, &moved.collect::<Vec<_>>())?;
+        let fitted = fit_moved(cloud, &moved.collect::<Vec<_>>(), mounted.mean_offset())?;
         let values: Vec<f32> = thinned(positions, SAMPLE).flatten().copied().collect();
         let build = Build { coordinates: CoordinateGrid::finest_of(&values), ..fitted.build.clone() };
         let fitted = Firings { build, ..fitted }.mounted(mounting);
@@ -80,6 +73,12 @@ pub fn fit(sample: &[ScanFile]) -> Option<Firings> {
 }
 
 impl Firings {
+    /// The mean of the azimuth offsets of the lasers, in degrees.
+    fn mean_offset(&self) -> f64 {
+        let sum: f64 = self.lasers.iter().map(Laser::azimuth_degrees).sum();
+        sum / self.lasers.len().max(1) as f64
+    }
+
     /// This scanner with the lasers of another one, but for whole ticks. `None` if they are not the same.
     ///
     /// Where roundings do not tell azimuth 0, few points are reproduced, and digits of a laser's angles that
@@ -180,18 +179,6 @@ impl Mounting {
     }
 }
 
-/// A measurement, and its position in the file.
-type Measurement = (Return, [f32; 3]);
-
-/// Measurements of a scanner by their integers, up to the direction of azimuth 0.
-struct Seen {
-    build: Build,
-    lasers: Vec<Laser>,
-    points: Vec<Measurement>,
-    /// Number of directions to a tick: by thousandths of degrees if the lasers have azimuth offsets.
-    parts: u32,
-}
-
 impl Seen {
     /// Finds the steps, ticks and lasers of the returns of a file.
     fn of(returns: &[[f32; 3]], mounting: &Mounting) -> Option<Self> {
@@ -213,24 +200,32 @@ impl Seen {
         let phase_of = |points: &Vec<Point>| phase(points.iter().map(|point| in_ticks(point, ticks))).0;
         let phases: Vec<f64> = of_rows.iter().map(phase_of).collect();
         let tick = 360.0 / f64::from(ticks);
+        // The offsets of the lasers, in ticks, if azimuth 0 is turned by so many more.
+        let offsets = |common: f64| -> Vec<f64> {
+            let parts = phases.iter().map(|phase| phase - common - round_ties_even(phase - common));
+            let parts: Vec<f64> = parts.collect();
+            let sequence = points.iter().zip(&rows).filter_map(|(point, row)| {
+                let tick = round_ties_even(in_ticks(point, ticks) - common - parts[(*row)?]) as i64;
+                Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
+            });
+            let whole = whole_ticks(sequence.collect(), &elevations, ticks);
+            parts.iter().zip(whole).map(|(part, whole)| part + whole).collect()
+        };
         // Azimuth 0 is turned such that the offsets of all lasers are whole ticks, or whole thousandths of
         // degrees.
-        let thousandths = (tick * 1e3).round().max(1.0);
-        let in_parts = |parts: f64| {
-            let seen = phases.iter().zip(&of_rows).filter(|(_, points)| !points.is_empty());
-            let (common, strength) = phase(seen.map(|(phase, _)| phase * parts));
-            (strength > COMMON).then_some((common / parts, parts as u32))
+        let in_parts = |offsets: &[f64], parts: f64| {
+            let seen = offsets.iter().zip(&of_rows).filter(|(_, points)| !points.is_empty());
+            let (common, strength) = phase(seen.map(|(offset, _)| offset * parts));
+            (strength > COMMON).then_some(common / parts)
         };
-        let found = in_parts(1.0).or_else(|| in_parts(thousandths).filter(|_| ticks == 36_000));
-        let (common, parts) = found.unwrap_or((phases[0], 1));
-        let parts_of_ticks = phases.iter().map(|phase| phase - common - round_ties_even(phase - common));
-        let parts_of_ticks: Vec<f64> = parts_of_ticks.collect();
-        let sequence = points.iter().zip(&rows).filter_map(|(point, row)| {
-            let tick = round_ties_even(in_ticks(point, ticks) - common - parts_of_ticks[(*row)?]) as i64;
-            Some(((*row)?, tick.rem_euclid(i64::from(ticks)) as u32))
-        });
-        let whole = whole_ticks(sequence.collect(), &elevations, ticks);
-        let offsets: Vec<f64> = parts_of_ticks.iter().zip(whole).map(|(part, whole)| part + whole).collect();
+        let (common, multiples) = match in_parts(&phases, 1.0) {
+            Some(common) => (common, Offsets::Ticks),
+            None => match in_parts(&offsets(phases[0]), tick * 1e3) {
+                Some(common) => (phases[0] + common, Offsets::Thousandths),
+                None => (phases[0], Offsets::Any),
+            },
+        };
+        let offsets = offsets(common);
         let elevations: Vec<f64> = elevations.iter().map(|elevation| elevation.to_degrees()).collect();
         let azimuths: Vec<f64> = offsets.iter().map(|offset| offset * tick).collect();
         let elevations = all_as_written(&elevations, &[DEGREES, RADIANS]).into_iter();
@@ -255,15 +250,13 @@ impl Seen {
         });
         let found: Vec<Measurement> = found.collect();
         let points = thinned(&found, 4 * SAMPLE).copied().collect();
-        Some(Seen { build, lasers: lasers.collect(), points, parts })
+        Some(Seen { build, lasers: lasers.collect(), points, offsets: multiples })
     }
 
     /// The same with the angles of lasers with which the points come nearest to their positions in the file, if
     /// nobody rounded them to thousandths of degrees.
     fn sharpened(mut self, start: &Mounting) -> Option<Self> {
         const ROUNDS: usize = 3;
-        /// Metres: points that are farther off belong to other returns.
-        const FARTHEST: f64 = 1e-4;
         let mut mounting = *start;
         if self.lasers.iter().all(|laser| laser.elevation % THOUSANDTH == 0) {
             return Some(self);
@@ -274,17 +267,9 @@ impl Seen {
             // Of each laser: the weight of its points, and their weighted changes of elevation and azimuth.
             let mut sums = vec![[0.0; 3]; self.lasers.len()];
             for ((found, position), (point, _)) in self.points.iter().zip(&pairs) {
-                let ([x, y, z], there) = (*point, mounting.undone(position.map(f64::from)));
-                let miss = [there[0] - x, there[1] - y, there[2] - z];
-                let (flat, range) = (x * x + y * y, x * x + y * y + z * z);
-                if miss.iter().any(|miss| miss.abs() > FARTHEST) || flat == 0.0 {
-                    continue;
-                }
-                let outward = (miss[0] * x + miss[1] * y) / flat.sqrt();
-                let up = (miss[2] * flat.sqrt() - z * outward) / range;
-                let clockwise = (miss[0] * y - miss[1] * x) / flat;
-                let weight = range / position.map(|v| square(unit_at(v))).iter().sum::<f64>();
+                let Some(off) = mounting.off(point, position) else { continue };
                 let sum = &mut sums[found.row as usize];
+                let Off { weight, up, clockwise } = off;
                 *sum = [sum[0] + weight, sum[1] + weight * up, sum[2] + weight * clockwise];
             }
             let in_units = |radians: f64| (radians.to_degrees() / ANGLE_UNIT).round() as i64;
@@ -324,7 +309,7 @@ impl Seen {
             by: MovedBy::Mounting(start),
             position: *position,
         });
-        let found = fit_moved(cloud, &moved.collect::<Vec<_>>())?;
+        let found = fit_moved(cloud, &moved.collect::<Vec<_>>(), 0.0)?;
         let sight = Sight::new(&found);
         let measurement = |position: &[f32; 3]| {
             let there = undone(&start, position);
@@ -333,7 +318,12 @@ impl Seen {
             (is_near && measured.steps > 0).then_some((measured, *position))
         };
         let points = thinned(&cloud.positions, 4 * SAMPLE).filter_map(measurement).collect();
-        let seen = Seen { build: found.build.clone(), lasers: found.lasers.clone(), points, parts: 1 };
+        let seen = Seen {
+            build: found.build.clone(),
+            lasers: found.lasers.clone(),
+            points,
+            offsets: Offsets::Ticks,
+        };
         let recipes: &[Recipe] = match found.build.recipe {
             Recipe::RoboSense => &[
                 Recipe::RoboSense,
@@ -343,135 +333,20 @@ impl Seen {
             ],
             _ => &[found.build.recipe],
         };
+        let all: Vec<u32> = (0..seen.build.ticks).collect();
         let directions = recipes.iter().filter_map(|recipe| {
             let quarter = if recipe.axes() == Axes::YAhead { FRAC_PI_2 } else { 0.0 };
-            seen.direction(*recipe, 0, &start.turned(quarter))
+            seen.direction(*recipe, (0..1, &all), &start.turned(quarter))
         });
         let direction = directions.min_by(|a, b| a.chance().total_cmp(&b.chance()))?;
         let (recipe, later, mounting) = match direction.chance() < WORTH {
-            true => (direction.recipe, direction.later, direction.mounting),
+            true => (direction.recipe, direction.before.later, direction.mounting),
             false => (found.build.recipe, 0, start),
         };
         let seen = seen.later(later);
         Some((seen.scanner(recipe, 0), seen, mounting))
     }
-
-    /// The scanner by a recipe, its azimuth offsets so many thousandths of degrees greater. The slots of its
-    /// firings are not known yet.
-    fn scanner(&self, recipe: Recipe, part: u32) -> Firings {
-        let build = Build { recipe, ..self.build.clone() };
-        let greater =
-            |laser: &Laser| Laser { azimuth: laser.azimuth + i64::from(part) * THOUSANDTH, ..*laser };
-        let lasers = self.lasers.iter().map(greater).collect();
-        Firings::new(build, lasers, (0..self.lasers.len() as u32).collect())
-    }
-
-    /// The measurements as positions.
-    fn pairs(&self, scanner: &Firings) -> Vec<Pair> {
-        self.points.iter().map(|(found, position)| (scanner.unrounded(found), *position)).collect()
-    }
-
-    /// The scanner by the recipe by which points were rounded before they were moved, the measurements with
-    /// the ticks that it counts, and nearly its mounting. If the roundings tell no recipe, it is one in
-    /// double precision.
-    fn with_recipe(mut self, start: &Mounting) -> Option<(Firings, Self, Mounting)> {
-        /// With one that misses no more than this part, no more recipes are tried.
-        const SURE: f64 = 0.85;
-        let mut tried: Vec<Direction> = Vec::new();
-        // Velodyne's offsets are whole ticks.
-        let recipes = if self.parts > 1 { &OF_HESAI[..] } else { &DIFFERENT };
-        for &recipe in recipes {
-            let of_parts =
-                (0..self.parts).into_par_iter().filter_map(|part| self.direction(recipe, part, start));
-            tried.extend(of_parts.collect::<Vec<_>>());
-            if tried.iter().any(|found| found.chance() < SURE) {
-                break;
-            }
-        }
-        let double = tried.iter().find(|found| found.recipe == Recipe::DoubleYAhead);
-        let double = double.map(|found| found.aligned(self.build.ticks));
-        let best = tried.into_iter().min_by(|a, b| a.chance().total_cmp(&b.chance()));
-        let best = best.filter(|best| best.chance() < WORTH).or(double)?;
-        self = self.later(best.later);
-        // Recipes that differ in a few roundings only have the same direction.
-        let similar = Recipe::ALL
-            .into_iter()
-            .filter(|recipe| recipe.may_start_in_one_point() && recipe.axes() == best.recipe.axes());
-        let few = thinned(&self.points, SAMPLE).copied().collect();
-        let few = Seen { points: few, build: self.build.clone(), lasers: self.lasers.clone(), ..self };
-        let similar = similar.filter_map(|recipe| {
-            let scanner = few.scanner(recipe, best.part);
-            let pairs = few.pairs(&scanner);
-            let mounting = least_squares(&pairs, &best.mounting, &COARSE)?;
-            let missed = missed(&mounting, &TransformOrder::ALL, thinned(&pairs, FEW).copied());
-            Some((scanner, mounting, missed))
-        });
-        let (scanner, mounting, _) = similar.min_by_key(|(.., missed)| *missed)?;
-        Some((scanner, self, mounting))
-    }
-
-    /// The same measurements by a scanner whose azimuth 0 is so many ticks before.
-    fn later(mut self, later: u32) -> Self {
-        self.points.iter_mut().for_each(|(found, _)| found.tick = (found.tick + later) % self.build.ticks);
-        self
-    }
-
-    /// The direction of azimuth 0 for which the points of a recipe reproduce the most coordinates of the
-    /// file.
-    fn direction(&self, recipe: Recipe, part: u32, start: &Mounting) -> Option<Direction> {
-        /// Numbers of points by which directions are compared, and the part of the directions that remains.
-        const ROUNDS: [(usize, usize); 5] = [(8, 8), (24, 8), (96, 8), (400, 8), (1600, 1)];
-        const FEWEST: usize = 8;
-        /// Orders of operations that reproduce enough of what others make to tell directions roughly.
-        const ROUGHLY: [TransformOrder; 2] = [TransformOrder::Double, TransformOrder::SingleShiftLast];
-        /// Number of directions that are told roughly.
-        const MANY: usize = 1000;
-        let scanner = self.scanner(recipe, part);
-        let ticks = self.build.ticks;
-        let quarter = if recipe.axes() == Axes::YAhead { FRAC_PI_2 } else { 0.0 };
-        let less = f64::from(part) * (THOUSANDTH as f64 * ANGLE_UNIT).to_radians();
-        let few: Vec<Measurement> = thinned(&self.points, SAMPLE).copied().collect();
-        let rounded = |found: &Return| scanner.position(found, 0.0);
-        let pairs: Vec<Pair> = few.iter().map(|(found, position)| (rounded(found), *position)).collect();
-        let mounting = least_squares(&pairs, &start.turned(less - quarter), &COARSE)?;
-        let turned = |later: u32| mounting.turned(f64::from(later) * TAU / f64::from(ticks));
-        let mut directions: Vec<(u32, u32)> = (0..ticks).map(|later| (0, later)).collect();
-        // Their roundings tell the direction of azimuth 0.
-        let all: Vec<TransformOrder> =
-            TransformOrder::ALL.into_iter().filter(|order| order.rounds_first()).collect();
-        let mut by_chance = 0;
-        for (points, part) in ROUNDS {
-            let points: Vec<&Measurement> = thinned(&few, points).collect();
-            let orders = if directions.len() > MANY { &ROUGHLY[..] } else { &all };
-            for (missed, later) in &mut directions {
-                let pairs = points.iter().map(|(found, position)| {
-                    let tick = (found.tick + *later) % ticks;
-                    (rounded(&Return { tick, ..*found }), *position)
-                });
-                *missed = self::missed(&turned(*later), orders, pairs);
-            }
-            directions.sort_unstable();
-            by_chance = directions[directions.len() / 2].0;
-            directions.truncate((directions.len() / part).max(FEWEST));
-        }
-        let (missed, later) = directions[0];
-        Some(Direction { recipe, part, later, missed, by_chance, mounting: turned(later) })
-    }
 }
-
-/// Recipes of which none rounds most points as another does.
-const DIFFERENT: [Recipe; 7] = [
-    Recipe::VelodyneRos,
-    Recipe::DoubleYAhead,
-    Recipe::SingleRangeXAhead,
-    Recipe::Nebula,
-    Recipe::NebulaVelodyne,
-    Recipe::Pandar64,
-    Recipe::Apollo,
-];
-
-/// Those of Hesai's scanners.
-const OF_HESAI: [Recipe; 3] = [Recipe::DoubleYAhead, Recipe::Nebula, Recipe::Pandar64];
 
 /// The whole ticks of each laser's azimuth offset, as far as the order of the file tells them, from the rows
 /// and ticks of its points: such that their mean is about 0.
@@ -488,39 +363,6 @@ fn whole_ticks(mut sequence: Vec<(usize, u32)>, elevations: &[f64], ticks: u32) 
     let shifts = shifts.unwrap_or_else(|| vec![0.0; rows]);
     let middle = round_ties_even(shifts.iter().sum::<f64>() / rows.max(1) as f64);
     shifts.into_iter().map(|shift| shift - middle).collect()
-}
-
-/// A direction of azimuth 0.
-#[derive(Clone, Copy)]
-struct Direction {
-    recipe: Recipe,
-    /// Thousandths of degrees, and ticks, by which it is before that of the measurements.
-    part: u32,
-    later: u32,
-    /// How many coordinates are not reproduced, and how many are not in another direction.
-    missed: u32,
-    by_chance: u32,
-    mounting: Mounting,
-}
-
-impl Direction {
-    /// The part of the coordinates missed in another direction that are missed in this one.
-    fn chance(&self) -> f64 {
-        f64::from(self.missed) / f64::from(self.by_chance.max(1))
-    }
-
-    /// The whole tick nearest to the first axis of the file. Where points were not rounded before they were
-    /// moved, any direction is as good as another, and this one is the likeliest.
-    fn aligned(&self, ticks: u32) -> Self {
-        let [a, b, ..] = self.mounting.rows[0];
-        let tick = TAU / f64::from(ticks);
-        let later = round_ties_even(libm::atan2(b, a) / tick);
-        Direction {
-            later: (i64::from(self.later) + later as i64).rem_euclid(i64::from(ticks)) as u32,
-            mounting: self.mounting.turned(later * tick),
-            ..*self
-        }
-    }
 }
 
 /// Grids of angles, in degrees: manufacturers write thousandths of degrees, some programs ten-thousandths of

@@ -8,12 +8,15 @@
 //! v = R p + T
 //! ```
 //! The [`TransformOrder`] of the operations and their precision are those of the program. `pose` finds where
-//! the scanner is and how it is turned from points alone; `fit` the integers and the direction of azimuth 0; and
-//! `numbers` the numbers of R and T to the last bit.
+//! the scanner is and how it is turned from points alone; `direction` the direction of its azimuth 0, and the
+//! recipe; `sums` the offsets of lasers that a recipe adds in single precision; `numbers` the numbers of R and T to
+//! the last bit; and `fit` all of a scanner, with these.
 
+mod direction;
 mod fit;
 mod numbers;
 mod pose;
+mod sums;
 
 pub use fit::fit;
 
@@ -70,13 +73,16 @@ impl TransformOrder {
     }
 
     /// Whether points were rounded to float32 before they were moved.
+    #[inline(always)]
     pub fn rounds_first(self) -> bool {
         self != TransformOrder::DoubleUnrounded
     }
 
     /// A point of the recipe as it is moved.
+    #[inline(always)]
     pub fn rounded_first(self, point: [f64; 3]) -> [f64; 3] {
-        if self.rounds_first() { point.map(|metres| f64::from(metres as f32)) } else { point }
+        let rounded = |metres: f64| if self.rounds_first() { f64::from(metres as f32) } else { metres };
+        [rounded(point[0]), rounded(point[1]), rounded(point[2])]
     }
 
     /// The numbers of a row as they are stored.
@@ -85,17 +91,19 @@ impl TransformOrder {
     }
 
     /// A coordinate, from its row of R with its number of T, in the precision in which it is computed.
-    #[inline]
+    #[inline(always)]
     fn coordinate(self, row: &[f64; 4], point: &[f64; 3]) -> f64 {
-        let turned = |[a, b, c, _]: &[f64; 4]| {
+        let turned = || {
+            let [a, b, c, _] = *row;
             let [x, y, z] = self.rounded_first(*point);
             a * x + b * y + c * z
         };
-        let [x, y, z] = point.map(|metres| metres as f32);
-        let [a, b, c, t] = row.map(|number| number as f32);
+        // `map` is not always inlined.
+        let (x, y, z) = (point[0] as f32, point[1] as f32, point[2] as f32);
+        let (a, b, c, t) = (row[0] as f32, row[1] as f32, row[2] as f32, row[3] as f32);
         match self {
-            TransformOrder::Double | TransformOrder::DoubleUnrounded => turned(row) + row[3],
-            TransformOrder::DoubleRoundedTwice => f64::from(turned(row) as f32) + row[3],
+            TransformOrder::Double | TransformOrder::DoubleUnrounded => turned() + row[3],
+            TransformOrder::DoubleRoundedTwice => f64::from(turned() as f32) + row[3],
             TransformOrder::SingleShiftFirst => (x * a + (y * b + (z * c + t))).into(),
             TransformOrder::SingleShiftLast => (((x * a + y * b) + z * c) + t).into(),
             TransformOrder::SingleHalved => ((x * a + (y * b + z * c)) + t).into(),

@@ -20,24 +20,27 @@ pub(super) fn unit_at(coordinate: f32) -> f64 {
 }
 
 /// How many coordinates a mounting does not reproduce, by the one of these orders of operations that
-/// reproduces the most.
-pub(super) fn missed(
+/// reproduces the most. Constant orders make loops without branches.
+#[inline(always)]
+pub(super) fn missed<const N: usize>(
     mounting: &Mounting,
-    orders: &[TransformOrder],
+    orders: &[TransformOrder; N],
     pairs: impl Iterator<Item = Pair>,
 ) -> u32 {
     /// Metres: smaller coordinates are more accurate than the mounting is known at first.
     const SMALL: f32 = 0.5;
-    let mut missed = [0; TransformOrder::ALL.len()];
+    let mut missed = [0; N];
     for (point, position) in pairs {
-        for axis in (0..3).filter(|&axis| position[axis].abs() > SMALL) {
+        for axis in 0..3 {
             let row = &mounting.rows[axis];
+            let counts = position[axis].abs() > SMALL;
             for (order, missed) in orders.iter().zip(&mut missed) {
-                *missed += u32::from(order.coordinate(row, &point) as f32 != position[axis]);
+                let differs = order.coordinate(row, &point) as f32 != position[axis];
+                *missed += u32::from(differs & counts);
             }
         }
     }
-    missed[..orders.len()].iter().copied().min().unwrap_or(0)
+    missed.into_iter().min().unwrap_or(0)
 }
 
 /// For each round of least squares, the least error, in metres, that is told from others, and how many times

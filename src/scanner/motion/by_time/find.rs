@@ -144,7 +144,7 @@ fn fit_scan(scan: &ScanFile, near: Option<&Firings>) -> Option<Firings> {
                 }
             };
             let moved: Vec<Moved> = scan.cloud.positions.iter().zip(&parts).map(moved).collect();
-            let Some(fitted) = fit_moved(&scan.cloud, &moved) else { break };
+            let Some(fitted) = fit_moved(&scan.cloud, &moved, 0.0) else { break };
             let sight = Sight::new(&fitted);
             let few: Vec<Point> = thinned(&points, SAMPLE).copied().collect();
             let motion = search(&sight, &few, motion, &ROUNDS[SURE..]);
