@@ -182,7 +182,8 @@ mod tests {
         for offset in [f64::from((-1.042f32).to_radians()), 0.012_345_67, -0.101_010_1] {
             let measured = std::array::from_fn(|class| rounded(offset, class));
             let found = before_rounding(&measured, &[1.0; CLASSES]);
-            assert!((found - offset).abs() <= COMMON / 128.0, "{found} {offset}");
+            // The nearest part may be a tie, which is rounded otherwise: then it is the one beside it.
+            assert!((found - offset).abs() <= COMMON / 64.0, "{found} {offset}");
             for (class, measured) in measured.into_iter().enumerate().take(CLASSES - 1) {
                 assert_eq!(rounded(found, class), measured, "{offset}");
             }
